@@ -45,7 +45,7 @@ ROBOTS ?= 3
 results: $(VENV)/.dev
 	$(BIN)/surefoot compare walking --seeds $(WALKS) --out $(RESULTS)/walking
 	for task in balance walk; do for part in \
-		"shipped --severity 1 --severity 2 --uses-cop" \
+		"shipped --severity 1 --severity 2" \
 		"shipped-randomised stabiliser --severity 1 --severity 2 --feed true --feed none --feed moment" \
 		"zero --feed true"; do \
 			$(BIN)/surefoot evaluate $$part --task $$task --seeds $(EPISODES) --jobs 2 \

@@ -85,14 +85,12 @@ def evaluate(
     ] = None,
     seeds: Annotated[int, Option(help="Episodes of each.", min=1)] = 50,
     first_seed: Annotated[int, Option(help="Seed of the first of them.", min=0)] = 20_000,
-    uses_cop: Annotated[bool, Option("--uses-cop", help="Also freeze, swap and shuffle the CoP.")] = False,
     out: Annotated[Path | None, Option(help="Folder for the results; an interrupted one goes on.")] = None,
     page_of: Annotated[Names, Option(help="Only a page of FILE or CONTROLLER=FILE; again for more.")] = None,
     jobs: Jobs = 1,
     as_json: Json = False,
 ) -> None:
     """Score controllers on true, drifting and calibrated feet, on the same episodes."""
-    from surefoot.experiments.episodes.episode import COP_INPUTS
     from surefoot.experiments.episodes.plan import evaluation_plan
     from surefoot.experiments.episodes.run import run_plan, sort_episodes
 
@@ -107,7 +105,6 @@ def evaluate(
         "controllers": tuple(controllers or ()),
         "feeds": tuple(feed or ()),
         "severities": tuple(severity or ()),
-        "cop_inputs": COP_INPUTS if uses_cop else (),
     }
     chosen = {name: value for name, value in given.items() if value}
     with one_line_errors(out, "give another folder with --out, or make room."):

@@ -3,8 +3,8 @@
 import json
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 import surefoot
 from surefoot.experiments.arrays import Floats
@@ -27,20 +26,12 @@ OUTCOME = ("return", "steps", "time", "fell", "cop_error", "tracking", "digest")
 
 VERSIONS = ("surefoot", "python", "numpy", "mujoco", "gymnasium", "code")  # with what a row was made
 
-COP_INPUTS = ("given", "frozen", "swapped", "shuffled")
-"""The centre of pressure that a controller sees: the feed's; the same, held at its value at the end of the
-quiet stand; another episode's at the same time; that of another episode at times in random order."""
-
-TAKEN = ("swapped", "shuffled")  # those that take another episode's
-DONOR = 500_000  # added to a seed for that of the episode whose centre of pressure is taken
 TABLE = "episodes"  # name of the table of a study's store that holds the rows
 
-_WHAT = ("controller", "controller_hash", "trained", "feed", "cop_input", "scenario", "severity", "seed")
+_WHAT = ("controller", "controller_hash", "trained", "feed", "scenario", "severity", "seed")
 """What of an episode has a column of its own."""
 
 _DIGEST_DIGITS = 32
-
-_Cop = tuple[NDArray[Any], NDArray[Any]]  # and whether it is valid
 
 
 @dataclass(frozen=True)
@@ -52,7 +43,6 @@ class Episode:
     controller_hash: str  # of the file behind it, or nothing
     trained: str  # on what, or nothing
     feed: str
-    cop_input: str
     scenario: str
     environment: str  # id
     options: Mapping[str, Any]  # of the environment
@@ -130,7 +120,6 @@ def episode_moments(
     Drawing options change nothing but pictures. A quiet stand comes before control. Raises ValueError if the
     controller's file is another one than the episode names, or something is refused.
     """
-    change = _change(episode, controller)
     env, tap, controller = _make(episode, controller, drawing)
     bare: Any = env.unwrapped
     settle = bare.stand_time if episode.settle is None else episode.settle
@@ -142,7 +131,7 @@ def episode_moments(
             if steps == waiting and hasattr(controller, "reset"):
                 controller.reset()
             asked = steps >= waiting
-            action = np.asarray(controller(change(observation)) if asked else still)
+            action = np.asarray(controller(observation) if asked else still)
             observation, reward, fell, truncated, _ = env.step(action)
             steps += 1
             done = fell or truncated
@@ -236,34 +225,6 @@ def _make(
         return env, tap, load_controller(name, env, same_task=episode.of_task)
     check_fits(controller, env)
     return env, tap, controller
-
-
-def _change(episode: Episode, controller: Controller | None) -> Callable[[dict[str, Any]], dict[str, Any]]:
-    """Make the function that changes an observation before the controller sees it."""
-    held = _other_cop(episode, controller) if episode.cop_input in TAKEN else []
-    seen = 0
-
-    def change(observation: dict[str, Any]) -> dict[str, Any]:
-        nonlocal seen
-        if episode.cop_input == "given":
-            return observation
-        if not held:
-            held.append((observation["cop"], observation["cop_valid"]))
-        cop, valid = held[0 if episode.cop_input == "frozen" else seen % len(held)]
-        seen += 1
-        return observation | {"cop": cop, "cop_valid": valid}
-
-    return change
-
-
-def _other_cop(episode: Episode, controller: Controller | None) -> list[_Cop]:
-    other = replace(episode, seed=episode.seed + DONOR, cop_input="given")
-    asked = [moment.observation for moment in episode_moments(other, controller) if moment.asked]
-    taken = [(observation["cop"], observation["cop_valid"]) for observation in asked]
-    if episode.cop_input == "shuffled":
-        order = np.random.default_rng([DONOR, episode.seed]).permutation(len(taken))
-        taken = [taken[i] for i in order]
-    return taken
 
 
 def _row(episode: Episode, outcome: Mapping[str, Any], error: str, wall_time: float) -> dict[str, Any]:

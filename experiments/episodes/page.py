@@ -43,7 +43,7 @@ def check_episodes(frame: Frame) -> tuple[Frame, Frame]:
     if len(tasks := sorted(set(finished["scenario"]))) > 1:
         raise ValueError(f"Episodes of the tasks {', '.join(tasks)} cannot share a page; give those of one.")
     cure = "give controllers of different files different names, NAME=FILE."
-    twice = finished[finished.duplicated(["controller", "feed", "cop_input", "severity", "seed"])]
+    twice = finished[finished.duplicated(["controller", "feed", "severity", "seed"])]
     if len(twice):
         row = twice.iloc[0]
         raise ValueError(
@@ -93,8 +93,7 @@ def _versions_of(runs: Frame) -> str:
 
 def _evaluation_sections(frame: Frame, scores: dict[str, Table], drawn: Path) -> Iterator[Section]:
     pair = trainings(frame)
-    given = frame[frame["cop_input"] == "given"]
-    outcomes = figures.outcome_figures(drawn, given, since=" since the quiet stand") if len(given) else ()
+    outcomes = figures.outcome_figures(drawn, frame, since=" since the quiet stand")
     yield Section("scores", "Scores", tables=tuple(scores.values()), figures=outcomes)
     for comparison in COMPARISONS:
         if found := comparison.find(frame):

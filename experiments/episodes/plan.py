@@ -16,7 +16,7 @@ from typing import Any
 from gymnasium.envs.registration import registry
 
 from surefoot.envs.nao.env import CONTROL_STEP
-from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, TAKEN, Episode, episode_row
+from surefoot.experiments.episodes.episode import Episode, episode_row
 from surefoot.experiments.policy.controllers import Controller, controller_hash, training_sensors
 from surefoot.experiments.policy.tasks import TASKS, TRAINING_SEEDS, find_task
 from surefoot.experiments.walks.scenarios import FAULT_AFTER, SCENARIOS, Scenario, scenario_from
@@ -46,17 +46,15 @@ def find_scenario(name: str, others: Mapping[str, Scenario] = MappingProxyType({
     return found
 
 
-_AXES = ("controllers", "feeds", "scenarios", "severities", "seeds", "cop_inputs")
+_AXES = ("controllers", "feeds", "scenarios", "severities", "seeds")
 _OWN_KEYS = ("based_on", "title", "environment", "options", "sensors", "beliefs", "methods")
-_NOT_IN_FILES = ("own", "cop_inputs")
 
 
 @dataclass(frozen=True)
 class EpisodePlan:
     """A grid of valid names; every combination is one episode. Raises ValueError at impossible plans.
 
-    True feet have no errors to scale: feed ``"true"`` is run once a seed, at severity 0. It alone is run with
-    other inputs than those that are fed back.
+    True feet have no errors to scale: feed ``"true"`` is run once a seed, at severity 0.
     """
 
     controllers: tuple[str, ...] = ("zero", "stabiliser")
@@ -67,7 +65,6 @@ class EpisodePlan:
     duration: float | None = STAND_TIME + 20.0  # longest, in s, with standing; ``None`` for the environment's
     settle: float | None = STAND_TIME  # controllers are asked from this time in s on; ``None`` as above
     cells: str = "hx711-load-cells"  # name of a preset
-    cop_inputs: tuple[str, ...] = COP_INPUTS[:1]
     own: Mapping[str, Scenario] = field(default_factory=dict)  # scenarios besides the package's
 
     def __post_init__(self) -> None:
@@ -95,10 +92,8 @@ class EpisodePlan:
                 f"In scenario '{faulty[0]}' a cell fails after {FAULT_AFTER:g} s or later: 'duration' must "
                 f"be longer, got {self.duration:g} s."
             )
-        if unknown := [name for name in self.cop_inputs if name not in COP_INPUTS]:
-            raise ValueError(f"'cop_inputs' must be of {COP_INPUTS}, got {unknown[0]!r}.")
         if any(scenario.of_task for scenario in found):
-            check_seeds(min(self.seeds), max(self.seeds), self.cop_inputs)
+            check_seeds(min(self.seeds), max(self.seeds))
         for name in self.controllers:
             controller_hash(name)
 
@@ -123,15 +118,13 @@ class EpisodePlan:
             scenario, on_true = find_scenario(name, self.own), FEEDS[feed] is None
             hashed, trained = controller_hash(controller, scenario.environment), training_sensors(controller)
             severities = (0.0,) if on_true else self.severities
-            inputs = self.cop_inputs if on_true else COP_INPUTS[:1]
-            for severity, cop_input, seed in product(severities, inputs, self.seeds):
+            for severity, seed in product(severities, self.seeds):
                 made = Episode(
                     number=next(numbers),
                     controller=controller,
                     controller_hash=hashed,
                     trained=trained,
                     feed=feed,
-                    cop_input=cop_input,
                     scenario=name,
                     environment=scenario.environment,
                     options=scenario.options_for(self.duration),
@@ -148,23 +141,20 @@ class EpisodePlan:
                 yield Episode.from_json(made.to_json())
 
 
-def check_seeds(first: int, last: int, cop_inputs: Sequence[str] = COP_INPUTS[:1]) -> None:
-    """Raise ValueError if seeds reach those of training, also those of episodes whose input is taken."""
-    taken = [name for name in cop_inputs if name in TAKEN]
-    end = TRAINING_SEEDS - (DONOR if taken else 0)
-    if not 0 <= first <= last < end:
-        why = f", and '{taken[0]}' takes an episode {DONOR} further on" if taken else ""
+def check_seeds(first: int, last: int) -> None:
+    """Raise ValueError if seeds reach those of training."""
+    if not 0 <= first <= last < TRAINING_SEEDS:
         given = str(first) if first == last else f"{first} to {last}"
         raise ValueError(
-            f"'seed' must lie in 0 to {end - 1}, got {given}: seeds from {TRAINING_SEEDS} on are "
-            f"training's{why}."
+            f"'seed' must lie in 0 to {TRAINING_SEEDS - 1}, got {given}: seeds from {TRAINING_SEEDS} on are "
+            "training's."
         )
 
 
 def plan_from_toml(path: Path | None = None, **changes: Any) -> EpisodePlan:
     """Return a plan from a file as in docs/sweep.md, if any, with changes as there; raise ValueError."""
     given = {**({} if path is None else read_toml(path)), **changes}
-    known = [f.name for f in fields(EpisodePlan) if f.name not in _NOT_IN_FILES]
+    known = [f.name for f in fields(EpisodePlan) if f.name != "own"]
     _check_keys(f"{path}", given, (*known, "first_seed", "scenario"))
     own = {name: _own_scenario(path, name, table) for name, table in given.pop("scenario", {}).items()}
     first, seeds = given.pop("first_seed", 0), given.pop("seeds", 10)
@@ -218,7 +208,6 @@ def evaluation_plan(
     *,
     seeds: int = 50,
     first_seed: int = 20_000,
-    cop_inputs: tuple[str, ...] = COP_INPUTS[:1],
     task: str = EVALUATED_TASK,
 ) -> EpisodePlan:
     """Return the plan of an evaluation, whatever order things are named in; ValueError at a wrong one."""
@@ -233,7 +222,6 @@ def evaluation_plan(
         tuple(range(first_seed, first_seed + seeds)),
         duration=None,
         settle=None,
-        cop_inputs=cop_inputs,
         own={task: scenario_of_task(task)},
     )
 
@@ -259,7 +247,6 @@ def run_episode(
     seed: int,
     severity: float = 1.0,
     *,
-    cop_input: str = COP_INPUTS[0],
     task: str = next(iter(TASKS)),
     **env_options: Any,
 ) -> dict[str, Any]:
@@ -271,7 +258,6 @@ def run_episode(
         feed: One of :data:`~surefoot.experiments.walks.walkers.FEEDS`.
         seed: Of the episode and its sensors, none of training's.
         severity: Factor of all errors of the feet's sensors.
-        cop_input: One of :data:`~surefoot.experiments.episodes.episode.COP_INPUTS`.
         task: One of :data:`surefoot.experiments.policy.tasks.TASKS`.
         **env_options: Of the task's environment.
 
@@ -280,11 +266,9 @@ def run_episode(
             was made for another task.
     """
     name = controller if isinstance(controller, str) else "zero"
-    plan = evaluation_plan(
-        (name,), (feed,), (severity,), seeds=1, first_seed=seed, cop_inputs=(cop_input,), task=task
-    )
+    plan = evaluation_plan((name,), (feed,), (severity,), seeds=1, first_seed=seed, task=task)
     (episode,) = plan.episodes
-    episode = replace(episode, cop_input=cop_input, options={**episode.options, **env_options})
+    episode = replace(episode, options={**episode.options, **env_options})
     if isinstance(controller, str):
         return episode_row(episode)
     return episode_row(replace(episode, controller=""), controller)

@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 
 from surefoot.experiments.episodes.episode import (
-    COP_INPUTS,
     OUTCOME,
     TABLE,
     VERSIONS,
@@ -167,7 +166,7 @@ EPISODES = f"{TABLE}.parquet"
 
 _UNNAMED = "policy"  # name of a controller that nobody named
 
-NEEDED = ("controller", "feed", "cop_input", "scenario", "severity", "seed", "return", "fell", "time")
+NEEDED = ("controller", "feed", "scenario", "severity", "seed", "return", "fell", "time")
 """Columns of an episode that a page needs, besides errors, which may be missing."""
 
 
@@ -201,7 +200,7 @@ def read_episodes(path: Path, controller: str = "") -> Frame:
         frame = frame[frame["error"] == ""]
     if missing := [name for name in (*NEEDED, "cop_error", "tracking") if name not in frame]:
         raise ValueError(f"'{path}' is no table of episodes: it lacks the column '{missing[0]}'.")
-    for name in NEEDED[4:]:
+    for name in NEEDED[3:]:
         if not (pd.to_numeric(frame[name], errors="coerce") > -np.inf).all():
             raise ValueError(f"'{path}' is no table of episodes: column '{name}' holds what is no number.")
     for feed in frame["feed"].unique():
@@ -221,7 +220,6 @@ def sort_episodes(frame: Frame, controllers: Sequence[str] = ()) -> Frame:
     ranks = {
         "controller": list(dict.fromkeys((*controllers, *frame["controller"]))),
         "feed": list(dict.fromkeys((*FEEDS, *frame["feed"]))),
-        "cop_input": list(COP_INPUTS),
     }
 
     def rank(column: Column) -> Column:

@@ -1,8 +1,7 @@
 """Numbers of a study's rows: paired differences, losses won back, the severity at which half fall.
 
-Differences are feet against feet, acting against nobody, the own feet against another input, and whether
-domain randomisation is enough: {trained clean, trained randomised} x {drifting, calibrated}. Pairs that were
-not run are left out.
+Differences are feet against feet, acting against nobody, and whether domain randomisation is enough: {trained
+clean, trained randomised} x {drifting, calibrated}. Pairs that were not run are left out.
 
 A difference is *clear* if its 95 % interval leaves zero out.
 
@@ -39,7 +38,6 @@ class Run(NamedTuple):
     """Episodes that differ by nothing but severity and seed; there may be but one controller."""
 
     feed: str
-    cop_input: str = "given"
     controller: str | None = None
 
 
@@ -67,7 +65,7 @@ def seeds_text(seeds: Iterable[int]) -> str:
 
 def same_seeds(frame: Frame) -> bool:
     """Return whether all runs are of the same seeds."""
-    seeds = frame.groupby(["controller", "feed", "cop_input", "severity"], sort=False)["seed"]
+    seeds = frame.groupby(["controller", "feed", "severity"], sort=False)["seed"]
     return len({frozenset(of) for _, of in seeds}) <= 1
 
 
@@ -111,7 +109,7 @@ def recovery_share(frame: Frame, feed: str, severity: float) -> Recovery | None:
 
 
 def _returns(frame: Frame, run: Run, severity: float | None) -> Column:
-    wanted = (frame["feed"] == run.feed) & (frame["cop_input"] == run.cop_input)
+    wanted = frame["feed"] == run.feed
     if run.controller is not None:
         wanted &= frame["controller"] == run.controller
     # The true feet know no severity: they are run once.
@@ -225,7 +223,7 @@ def _feeds(frame: Frame, who: str) -> Iterator[Pair]:
     """Pair the feeds of a controller that looks at them, at each severity."""
     for first, second, what in _PAIRS if who != NOBODY else ():
         for severity in severities_of(frame):
-            yield Run(first, "given", who), Run(second, "given", who), what, severity, first != "true"
+            yield Run(first, who), Run(second, who), what, severity, first != "true"
 
 
 def _acting(frame: Frame, who: str) -> Iterator[Pair]:
@@ -233,13 +231,7 @@ def _acting(frame: Frame, who: str) -> Iterator[Pair]:
     for feed in dict.fromkeys(frame["feed"]) if who != NOBODY else ():
         what = f"{'drifting' if feed == 'none' else short_label(feed)} less nobody"
         for severity in severities_of(frame) if feed != "true" else [None]:
-            yield Run(feed, "given", who), Run("true", "given", NOBODY), what, severity, True
-
-
-def _inputs(frame: Frame, who: str) -> Iterator[Pair]:
-    """Pair a controller's inputs on the true feet with other inputs."""
-    for other in ("frozen", "swapped", "shuffled"):
-        yield Run("true", "given", who), Run("true", other, who), f"given less {other}", None, False
+            yield Run(feed, who), Run("true", NOBODY), what, severity, True
 
 
 def trainings(frame: Frame) -> tuple[str, str] | None:
@@ -253,9 +245,7 @@ def _randomisation(frame: Frame, who: str) -> Iterator[Pair]:
     pair = trainings(frame)
     if pair is None or who != pair[1]:
         return
-    (clean, calibrated), (wild, both) = (
-        (Run("none", "given", name), Run(CALIBRATED, "given", name)) for name in pair
-    )
+    (clean, calibrated), (wild, both) = ((Run("none", name), Run(CALIBRATED, name)) for name in pair)
     for severity in severities_of(frame):
         for first, second, what in (
             (wild, clean, "randomised less clean, both drifting"),
@@ -265,7 +255,7 @@ def _randomisation(frame: Frame, who: str) -> Iterator[Pair]:
             (both, wild, "both together less randomisation alone"),
         ):
             yield first, second, what, severity, True
-    yield Run("true", "given", pair[1]), Run("true", "given", pair[0]), "both on true feet", None, True
+    yield Run("true", pair[1]), Run("true", pair[0]), "both on true feet", None, True
 
 
 @dataclass(frozen=True)
@@ -291,7 +281,6 @@ class Comparison:
 COMPARISONS = (
     Comparison("differences", "Paired differences of returns", "Feet against feet", (), _feeds),
     Comparison("nobody", "What acting is worth", "Is acting worth it?", (_say("nobody"),), _acting),
-    Comparison("inputs", "What another CoP costs", "Is the CoP used?", (_say("inputs"),), _inputs),
     Comparison(
         "randomisation_differences",
         "What randomisation and calibration are worth",

@@ -52,11 +52,6 @@ def _severity(runs: Frame) -> str:
     return NOTHING if runs["feed"].iloc[0] == "true" else decimal(runs["severity"].iloc[0])
 
 
-def _fed(runs: Frame) -> str:
-    feed, cop_input = runs["feed"].iloc[0], runs["cop_input"].iloc[0]
-    return str(feed) if cop_input == "given" else f"{feed}, {cop_input}"
-
-
 def _times_to_fall(runs: Frame) -> str:
     """Return a mean with its interval, or of few falls the shortest and the longest."""
     times: Column = runs.loc[runs["fell"].astype(bool), "time"]
@@ -109,7 +104,7 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
 
     columns: dict[str, Cell] = {
         "controller": lambda runs: brief[runs["controller"].iloc[0]],
-        "CoP fed back": _fed,
+        "CoP fed back": lambda runs: str(runs["feed"].iloc[0]),
         "severity": _severity,
         "return": mean_of("return", digits=4),
         "loss won back": share,
@@ -117,7 +112,7 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
     }
     if len(controllers) < 2:
         del columns["controller"]
-    keys = ["feed", "cop_input", "severity"]
+    keys = ["feed", "severity"]
     rows = [runs for part in own.values() for _, runs in part.groupby(keys, sort=False)]
     note = (
         f"{means} with 95 % intervals; 'loss won back' cannot be told where drifting feet cost nothing "
@@ -160,12 +155,11 @@ def two_by_two(frame: Frame, clean: str, randomised: str) -> Table:
     Returns are means over the seeds that both policies have on the same feet.
     """
     feeds = {"true": "true feet", "none": "drifting", CALIBRATED: "calibrated"}
-    given = frame[frame["cop_input"] == "given"]
     columns: dict[str, Cell] = {"trained on": lambda who: who[0]}
     seeds = []
     for severity in (0.0, *severities_of(frame)):
         for feed in [feed for feed in feeds if (feed == "true") == (severity == 0.0)]:
-            runs = given[(given["feed"] == feed) & (given["severity"] == severity)]
+            runs = frame[(frame["feed"] == feed) & (frame["severity"] == severity)]
             returns = runs.pivot_table(index="seed", columns="controller", values="return")
             returns = returns.reindex(columns=[clean, randomised]).dropna()
             heading = feeds[feed] + (f", {severity:g}" if severity else "")

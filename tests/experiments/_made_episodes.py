@@ -12,25 +12,23 @@ MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "mom
 TRAINED = {"clean": "true", "wild": "randomised"}
 
 
-def episodes(controller="clean", means=MEANS, severities=(1.0, 2.0), fell=0, cop_inputs=(), seeds=20):
+def episodes(controller="clean", means=MEANS, severities=(1.0, 2.0), fell=0, seeds=20):
     """Episodes whose returns differ by seed, alike for all feeds, and by little besides."""
     rng = np.random.default_rng(7)
     base, rows = rng.normal(0.0, 5.0, seeds), []
     for feed, mean in means.items():
         for severity in severities[:1] if feed == "true" else severities:
-            for cop_input in ("given", *cop_inputs) if feed == "true" else ("given",):
-                totals = mean + base + rng.normal(0.0, 0.5, seeds) - 40.0 * (cop_input != "given")
-                for seed, total in enumerate(totals):
-                    rows.append(row(feed, seed, total, controller, severity, cop_input, fell=seed < fell))
+            for seed, total in enumerate(mean + base + rng.normal(0.0, 0.5, seeds)):
+                rows.append(row(feed, seed, total, controller, severity, fell=seed < fell))
     return rows
 
 
 def row(
-    feed: str, seed: int, total: float, controller="clean", severity=1.0, cop_input="given", *, fell=False
+    feed: str, seed: int, total: float, controller="clean", severity=1.0, *, fell=False
 ) -> dict[str, Any]:
     """A row as an evaluation makes it."""
     made_with = dict.fromkeys(VERSIONS, "9") | {"controller_hash": controller, "error": ""}
-    which = {"controller": controller, "feed": feed, "cop_input": cop_input, "scenario": "balance"}
+    which = {"controller": controller, "feed": feed, "scenario": "balance"}
     which |= {"severity": 0.0 if feed == "true" else severity, "seed": seed}
     outcome = {
         "return": total,

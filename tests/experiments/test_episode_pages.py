@@ -55,7 +55,7 @@ def test_the_answer_on_randomisation_follows_the_numbers(wild, choice):
 
 def test_the_page_is_one_file_with_everything(tmp_path, undrawn):
     frame = frame_of(
-        episodes(cop_inputs=("frozen", "swapped", "shuffled")),
+        episodes(),
         episodes("wild", {"true": 95.0, "none": 70.0, "moment": 90.0}),
         episodes("zero", dict.fromkeys(MEANS, 60.0), fell=3),
     )
@@ -71,11 +71,10 @@ def test_the_page_is_one_file_with_everything(tmp_path, undrawn):
         "clean: trained on true feet",
         "3 of 20",
         "drifting less nobody",
-        "given less shuffled",
     ):
         assert words in text
     names = list(found)
-    assert names == ["scores_0", "scores_1", "scores_2", "differences", "nobody", "inputs",
+    assert names == ["scores_0", "scores_1", "scores_2", "differences", "nobody",
                      "randomisation", "randomisation_differences"]  # fmt: skip
     assert sorted(path.stem for path in (tmp_path / "tables").glob("*.csv")) == sorted(names)
     assert "these are 16." in found["differences"].note

@@ -58,7 +58,6 @@ SHORT = EpisodePlan(
             "In scenario 'fault-dead' a cell fails after 14 s or later: 'duration' must be longer, got 14 s.",
         ),
         ({"cells": "scales"}, "There is no LoadCells preset 'scales'"),
-        ({"cop_inputs": ("given", "guessed")}, "'cop_inputs' must be of ('given', 'frozen', 'swapped'"),
     ],
 )
 def test_a_plan_refuses(changes: dict[str, Any], message: str) -> None:
@@ -66,17 +65,13 @@ def test_a_plan_refuses(changes: dict[str, Any], message: str) -> None:
         EpisodePlan(**changes)
 
 
-def test_true_feet_have_no_severity_and_they_alone_have_other_inputs() -> None:
+def test_true_feet_have_no_severity() -> None:
     grid = SHORT.episodes
     assert [(one.feed, one.severity, one.seed) for one in grid] == [
         *(("true", 0.0, seed) for seed in (7, 8)),
         *(("none", severity, seed) for severity in (1.0, 2.0) for seed in (7, 8)),
     ]
     assert [one.number for one in grid] == list(range(6))
-    more = replace(SHORT, cop_inputs=("given", "frozen")).episodes
-    assert [(one.feed, one.cop_input) for one in more[:6:2]] == [
-        ("true", "given"), ("true", "frozen"), ("none", "given"),
-    ]  # fmt: skip
 
 
 def test_a_fault_is_drawn_by_the_seed_and_survives_writing() -> None:

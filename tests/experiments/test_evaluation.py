@@ -16,7 +16,7 @@ from surefoot.controllers import PolicyNetwork, Stabiliser, zero_action
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes import episode as episodes
 from surefoot.experiments.episodes import evaluation_plan, run_episode, run_plan
-from surefoot.experiments.episodes.episode import COP_INPUTS, DONOR, check_episode
+from surefoot.experiments.episodes.episode import check_episode
 from surefoot.experiments.episodes.plan import EpisodePlan
 from surefoot.experiments.episodes.run import read_episodes, sort_episodes
 from surefoot.experiments.episodes.scores import controllers_of
@@ -37,7 +37,7 @@ BALANCE = str(files("surefoot.experiments.policy") / "files" / "balance-true" / 
 
 def invented_frame() -> pd.DataFrame:
     rows = [
-        {"controller": "clean", "feed": feed, "cop_input": "given", "scenario": "balance", "seed": seed,
+        {"controller": "clean", "feed": feed, "scenario": "balance", "seed": seed,
          "severity": float(feed != "true"), "return": mean + seed, "fell": False, "time": 9.0,
          "cop_error": 0.01, "tracking": 0.02}
         for feed, mean in (("true", 100.0), ("none", 50.0))
@@ -89,10 +89,6 @@ def test_a_folder_of_rows_alone_is_no_study_to_go_on_with(tmp_path):
         ({"seeds": 0}, "'seeds' must be a whole number from 1 on, got 0"),
         ({"first_seed": -1}, "'first_seed' must be a whole number from 0 on, got -1"),
         ({"first_seed": 999_999_999, "seeds": 2}, "seeds from 1000000000 on are training's"),
-        (
-            {"first_seed": TRAINING_SEEDS - DONOR - 1, "seeds": 2, "cop_inputs": ("given", "swapped")},
-            "'swapped' takes an episode 500000 further on",
-        ),
         ({"task": "walk", "controllers": ("zero", BALANCE)}, "made for 'surefoot/NaoBalance-v0'"),
     ],
 )
@@ -143,8 +139,6 @@ def test_an_episode_is_scored_from_the_end_of_the_stand():
     assert drifting["cop_error"] > 1e-3
     with pytest.raises(ValueError, match="are training's"):
         run_episode(zero_action, "true", TRAINING_SEEDS)
-    with pytest.raises(ValueError, match="'cop_input"):
-        run_episode(zero_action, "true", 0, cop_input="upside down")
 
     class OfAnotherRobot(PolicyNetwork):
         def __init__(self):
@@ -176,25 +170,6 @@ def test_a_fall_within_the_quiet_stand_is_one_after_no_time(monkeypatch, termina
     row = run_episode(zero_action, "true", 3, **SHORT)
     assert (row["fell"], row["time"], row["return"]) == (terminated, 0.0, 0.0)
     assert np.isnan(row["tracking"])
-
-
-def test_what_is_done_to_the_input_reaches_the_policy_and_not_the_score():
-    given = {}
-    for cop_input in COP_INPUTS:
-        seen = []
-
-        def look(observation, seen=seen):
-            seen.append(observation["cop"].copy())
-            return zero_action(observation)
-
-        row = run_episode(look, "true", 3, cop_input=cop_input, **SHORT)
-        assert row["cop_error"] == 0.0
-        given[cop_input] = np.array(seen[-40:])
-    assert (given["frozen"] == given["frozen"][0]).all()
-    np.testing.assert_array_equal(given["frozen"][0], given["given"][0])
-    assert not np.array_equal(given["swapped"], given["given"])
-    assert not np.array_equal(given["shuffled"], given["swapped"])
-    np.testing.assert_array_equal(np.sort(given["shuffled"], axis=0), np.sort(given["swapped"], axis=0))
 
 
 def test_a_shipped_policy_is_that_of_its_task_and_fits_it():
@@ -288,7 +263,7 @@ def test_the_command_compares_and_makes_a_page(tmp_path, invented, undrawn):
     assert "shipped: trained on true feet" in (page / "index.html").read_text(encoding="utf-8")
     answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(out)])
     assert "--page-of needs a folder" in answer.output
-    for option in (["zero"], ["--seeds", "50"], ["--feed", "true"], ["--uses-cop"], ["--task", "balance"]):
+    for option in (["zero"], ["--seeds", "50"], ["--feed", "true"], ["--task", "balance"]):
         answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(out), "--out", str(page), *option])
         assert answer.exit_code == 2
         name = "controllers" if option == ["zero"] else option[0]
