@@ -109,7 +109,7 @@ def evaluate(
     chosen = {name: value for name, value in given.items() if value}
     with one_line_errors(out, "give another folder with --out, or make room."):
         plan = evaluation_plan(seeds=seeds, first_seed=first_seed, task=task, **chosen)
-        results = run_plan(plan, out, jobs=jobs, retry_failed=True)
+        results = run_plan(plan, out, jobs=jobs)
         _report(sort_episodes(results.rows, chosen.get("controllers", ())), out, as_json)
 
 
@@ -157,7 +157,6 @@ def sweep(
     duration: Annotated[float | None, Option(help="Longest duration of an episode in s.")] = None,
     out: Annotated[Path, Option(help="Folder of the sweep; an interrupted one goes on.")] = Path("out/sweep"),
     jobs: Annotated[int, Option(help="Episodes that are run at the same time here.", min=1)] = 2,
-    retry_failed: Annotated[bool, Option("--retry-failed", help="Run failed episodes again.")] = False,
     any_version: Annotated[bool, Option("--any-version", help="Go on with other versions' results.")] = False,
     scenarios: Annotated[bool, Option("--scenarios", help="List the scenarios, and end.")] = False,
     as_json: Json = False,
@@ -183,7 +182,7 @@ def sweep(
     changes = {name: value for name, value in given.items() if value not in ((), None)}
     with one_line_errors(out, "what is finished is kept."):
         chosen = plan_from_toml(plan, **changes)
-        results = run_plan(chosen, out, jobs=jobs, retry_failed=retry_failed, any_version=any_version)
+        results = run_plan(chosen, out, jobs=jobs, any_version=any_version)
         with working("drawing the report"):
             report = write_sweep(results)
     kept = len(results.rows) - results.computed

@@ -59,7 +59,6 @@ def run_plan(
     folder: Path | None = None,
     *,
     jobs: int = 1,
-    retry_failed: bool = False,
     any_version: bool = False,
 ) -> EpisodeResults:
     """Run every episode of a plan that has no row yet, seed by seed, keep them in a folder, or nowhere.
@@ -76,11 +75,9 @@ def run_plan(
         if (folder / PLAN).is_file():
             store.read()
             # What is whole is not run again, whatever made it.
-            kept = (store.holds(case, retry_failed=retry_failed, any_version=True) for case in cases)
-            any_version |= all(kept)
-        options = {"retry_failed": retry_failed, "any_version": any_version}
+            any_version |= all(store.holds(case, any_version=True) for case in cases)
         stack.enter_context(store.open_for(plan.as_dict(), versions(), any_version=any_version))
-        missing = [case for case in cases if not store.holds(case, **options)]
+        missing = [case for case in cases if not store.holds(case, any_version=any_version)]
         computed = 0
         if missing:
             with working("trying out each kind"):
@@ -92,7 +89,7 @@ def run_plan(
                 store,
                 failed=lambda case, error: {TABLE: [row_of_failure(case.arguments[0], error)]},
                 count={"fell": lambda outcome: any(row["fell"] for row in outcome.tables.get(TABLE, ()))},
-                **options,
+                any_version=any_version,
             )
         rows = store.rows(TABLE, cases).sort_values("case", ignore_index=True)
         save_frames(folder, {TABLE: rows}, (".parquet",))

@@ -103,7 +103,6 @@ class Runner:
         cases: Iterable[Case],
         store: Store,
         *,
-        retry_failed: bool = True,
         any_version: bool = False,
         failed: Failed | None = None,
         count: Mapping[str, Callable[[Outcome], bool]] = MappingProxyType({}),
@@ -116,8 +115,7 @@ class Runner:
         listed = list(cases)
         # Before anything runs: what is on the disk now is what has been imported.
         codes = {case.key: case.code for case in listed}
-        options = {"retry_failed": retry_failed, "any_version": any_version}
-        missing = {i: case for i, case in enumerate(listed) if not store.holds(case, **options)}
+        missing = {i: case for i, case in enumerate(listed) if not store.holds(case, any_version=any_version)}
         counters: dict[str, Callable[[Outcome], bool]] = {**count, "failed": lambda one: bool(one.error)}
         there = [store.outcomes[case.key] for i, case in enumerate(listed) if i not in missing]
         counted = {word: sum(map(of, there)) for word, of in counters.items()}

@@ -103,10 +103,10 @@ class Store:
             except (ValueError, TypeError, AttributeError):
                 self.damaged += 1
 
-    def holds(self, case: Case, *, retry_failed: bool = True, any_version: bool = False) -> bool:
-        """Return whether a case need not be run again; with ``any_version`` results of other code count."""
+    def holds(self, case: Case, *, any_version: bool = False) -> bool:
+        """Return whether a case went well and is kept; with ``any_version`` results of other code count."""
         found = self.outcomes.get(case.key)
-        if found is None or (found.error and retry_failed):
+        if found is None or found.error:
             return False
         return any_version or found.code == case.code
 

@@ -338,5 +338,5 @@ def test_a_policy_that_is_changed_while_it_is_evaluated_is_not_mixed_with_anothe
     monkeypatch.setattr(
         episodes, "episode_row", lambda one: row(replace(one, options={**one.options, **SHORT}))
     )
-    assert run_plan(evaluation_plan((policy,), ("true",), seeds=3), mine, retry_failed=True).computed == 2
+    assert run_plan(evaluation_plan((policy,), ("true",), seeds=3), mine).computed == 2
     assert json.loads((mine / "study.json").read_text())["plan"]["controllers"] == [policy]

@@ -99,14 +99,13 @@ def test_other_code_is_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert all(store.holds(case, any_version=True) for case in cases())
 
 
-def test_a_case_that_fails_is_kept_as_such_and_tried_again_if_wanted(tmp_path: Path) -> None:
+def test_a_case_that_fails_is_kept_as_such_and_tried_again(tmp_path: Path) -> None:
     listed = [*cases(1), Case("bad", fails, (7,))]
     store, _ = run(tmp_path, listed)
     assert list(store.failures(listed)) == ["bad"]
     (section,) = failure_section(store.failures(listed))
     assert section.tables[0].rows == (("bad", "ValueError: seed 7 cannot walk"),)
     with store.open_for(), runner(1) as work:
-        assert work.run("walk", listed, store, retry_failed=False) == 0
         named = work.run("walk", listed, store, failed=lambda case, error: {"walks": [{"error": error}]})
     assert named == 1
     assert "seed 7 cannot walk" in store.rows("walks", listed)["error"].iloc[-1]
