@@ -113,6 +113,7 @@ def _paper_sections(results: WalkStudyResults) -> list[Section]:
     folder = results.options.out / "figures"
     return [
         _walking_section(results, folder),
+        *((_cycle_section(results),) if len(results.cycles) else ()),
         *((_loop_section(results, folder),) if len(results.loop) else ()),
     ]
 
@@ -179,6 +180,13 @@ def _walking_section(results: WalkStudyResults, folder: Path) -> Section:
     )
     laid_out = tuple(tables.walking_table(scores, speed, conditions) for speed in results.speeds)
     return Section("walking", "Calibrating while walking", texts, said, laid_out, figures=drawn)
+
+
+def _cycle_section(results: WalkStudyResults) -> Section:
+    # In the middle of the paper's speeds, if it was walked.
+    speed = results.speeds[len(results.speeds) // 2]
+    walks = figures.by_scenario(results.cycles, [s for s in results.scenarios if s.speed == speed])
+    return Section("gait-cycle", "Gait cycles", tables=(tables.cycle_table(walks),))
 
 
 def _loop_section(results: WalkStudyResults, folder: Path) -> Section:

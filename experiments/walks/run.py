@@ -17,6 +17,7 @@ from surefoot.experiments.study.runner import Runner, runner
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
+from surefoot.experiments.walks.gait_cycle import cycle_rows
 from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.play import play, streams_of
 from surefoot.experiments.walks.run_score import (
@@ -27,7 +28,7 @@ from surefoot.experiments.walks.run_score import (
     score_run,
     yardsticks_of,
 )
-from surefoot.experiments.walks.scenarios import Scenario, find_scenarios, log_paths, record_missing
+from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, find_scenarios, log_paths, record_missing
 from surefoot.experiments.walks.video import join_reels, prepare_rendering, shoot
 from surefoot.experiments.walks.walkers import STAND_TIME
 
@@ -47,6 +48,7 @@ class WalkStudyResults:
     scores: Frame = field(default_factory=pd.DataFrame)  # a row a run, see ``walks.run_score``
     errors: Frame = field(default_factory=pd.DataFrame)  # running, of the CoP: time (s), cop (m)
     yardsticks: Frame = field(default_factory=pd.DataFrame)  # as the CoP paper scores
+    cycles: Frame = field(default_factory=pd.DataFrame)  # a row a run and foot, see ``walks.gait_cycle``
     loop: Frame = field(default_factory=pd.DataFrame)  # an episode a row: :data:`LOOP_COLUMNS`
     filmed: tuple[float, float, int] | str = "not asked for"  # severity, speed in m/s, seed; or why not
     left_out: dict[str, int] = field(default_factory=dict)  # falls before there was a score
@@ -93,7 +95,7 @@ def run_walk_study(options: WalkStudyOptions) -> WalkStudyResults:
             _film(run, results)
     results.failures = store.failures([case for cases in stages.values() for case in cases])
     _collect(results, store, scored)
-    names = ("scores", "errors", "yardsticks", "loop")
+    names = ("scores", "errors", "yardsticks", "cycles", "loop")
     save_frames(options.out / "tables", {name: getattr(results, name) for name in names})
     return results
 
@@ -138,7 +140,7 @@ def choose_walk_to_film(loop: Frame) -> tuple[float, int]:
 
 
 def _collect(results: WalkStudyResults, store: Store, scored: list[Case]) -> None:
-    for name in ("scores", "errors", "yardsticks"):
+    for name in ("scores", "errors", "yardsticks", "cycles"):
         setattr(results, name, store.rows(name, scored))
     if not len(results.scores):
         for name, error in store.failures(scored).items():
@@ -154,7 +156,7 @@ def score_case(scenario: Scenario, method: str, options: WalkStudyOptions) -> Ca
     """Return the case of one method, or of one of :data:`OTHER_WAYS`, on one scenario.
 
     Its tables are ``scores`` (one row a run), ``errors`` (over time) and ``left_out`` (how many walks were),
-    and for the scenarios of the CoP paper ``yardsticks``.
+    and for the scenarios of the CoP paper ``yardsticks`` and ``cycles``.
     """
     depends = (method, _depends(scenario, options), *own_code(method))
     return Case(f"{scenario.name} {method}", _score, (scenario, method, options), depends)
@@ -188,4 +190,10 @@ def _score(scenario: Scenario, method: str, options: WalkStudyOptions) -> Tables
         if scenario.paper:
             rows = yardsticks_of(stream, method, played.force, options.settle)
             found.setdefault("yardsticks", []).extend(rows)
+            ways = {method: played.force} | ({"truth": stream.truth.force} if method == TRUE_MAP else {})
+            found.setdefault("cycles", []).extend(
+                {**row, "seed": stream.seed, "method": way, **cycle}
+                for way, force in ways.items()
+                for cycle in cycle_rows(stream, force)
+            )
     return found

@@ -10,6 +10,7 @@ from surefoot.experiments.study.figures import by_way, in_order, look_of, short_
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.statistics import mean_interval, survival
 from surefoot.experiments.study.tables import (
+    NOTHING,
     Cell,
     Frame,
     Table,
@@ -27,6 +28,7 @@ from surefoot.experiments.study.tables import (
     with_interval,
 )
 from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario
+from surefoot.experiments.walks.score import rms
 from surefoot.experiments.weights.weighing import MethodErrors
 
 
@@ -278,6 +280,37 @@ def walking_table(scores: Frame, speed: float, conditions: Sequence[tuple[str, s
         tuple(rows),
         note,
     )
+
+
+def cycle_table(walks: Mapping[str, Frame]) -> Table:
+    """Return the statistics of gait cycles, a row a method and foot in each condition, given by its title."""
+
+    def pool(name: str, form: str, factor: float = 1.0) -> Cell:
+        def cell(item: tuple[str, Frame]) -> str:
+            mean, spread = factor * item[1][name].mean(), factor * rms(item[1][f"{name}_std"])
+            if mean != mean:
+                return NOTHING
+            return Valued.of(f"{mean:{form}} ± {spread:{form}}", {"value": mean, "plus_minus": spread})
+
+        return cell
+
+    columns: dict[str, Cell] = {
+        "condition": lambda item: item[0],
+        "method": lambda item: look_of(_method(item[1])).label,
+        "foot": lambda item: str(item[1]["foot"].iloc[0]),
+        "cycles": lambda item: decimal(item[1]["cycles"].sum()),
+        "peak vGRF (weights)": pool("peak", ".3f"),
+        "duty factor (%)": pool("duty", ".1f", 100.0),
+        "cycle (s)": pool("period", ".3f"),
+        "CoP repeats within (mm)": lambda item: number(1e3 * rms(item[1]["repeat"])),
+    }
+    parts = [
+        (title, part)
+        for title, cycles in walks.items()
+        for own in by_way(cycles).values()
+        for _, part in own.groupby("foot")
+    ]
+    return table_of("gait_cycle", "Gait cycles", columns, parts, Words("walks", "paper")("gait_cycle"))
 
 
 def loop_table(runs: Frame, horizon: float) -> Table:

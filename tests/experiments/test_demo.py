@@ -103,8 +103,9 @@ def test_the_page_is_whole(results: WalkStudyResults, report: tuple[Report, str]
             "In short: 0.1 m/s",
             ">What was done<",
             "1. Calibrating while walking",
-            "2. Closing the loop",
-            "3. Repeat any part",
+            "2. Gait cycles",
+            "3. Closing the loop",
+            "4. Repeat any part",
         )
     ]
     assert places == sorted(places)

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from surefoot.calibration import Flag
+from surefoot.calibration import GRAVITY, Flag
 from surefoot.calibration.layout import FeetLayout, FootLayout
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.statistics import mean_interval
+from surefoot.experiments.walks.gait_cycle import cycle_rows
 from surefoot.experiments.walks.play import FALLING, Played, Stream, _normalise, cut_fall, play
 from surefoot.experiments.walks.run_score import running_rmse, score_run
 from surefoot.experiments.walks.score import cop_world, hold_last, score_forces
@@ -141,6 +142,33 @@ def test_a_fall_is_cut_off(log: Log) -> None:
     assert len(cut.raw) == len(cut.time) == len(cut.reference.com)
     assert cut.truth is not None
     assert len(cut.truth.force) == len(cut.time)
+
+
+def test_gait_cycles_are_those_of_the_forces(log: Log) -> None:
+    """A foot that bears 20 N for 0.9 of 1.5 s, with a CoP that moves by 3 mm from one cycle to the next.
+
+    Cells whose offsets hold the foot down never swing.
+    """
+    walk = longer(log, 3 + 1200 // len(log))
+    time, truth = walk.time, walk.truth
+    assert truth is not None
+    for foot, where in zip(walk.layout.feet, walk.layout.slices, strict=True):
+        assert foot.position_cell_sole is not None
+        x = foot.position_cell_sole[:, 0] - foot.position_cell_sole[:, 0].mean()
+        loaded = (time % 1.5 < 0.9)[:, None] * (time > 0.2)[:, None]
+        shift = 3e-3 * (np.floor(time / 1.5) % 2 - 0.5)[:, None]
+        truth.force[:, where] = loaded * (5.0 + 20.0 * shift * x / (x @ x))
+    stream = stream_of(walk, judged=time > 0.25)
+    left, right = cycle_rows(stream, truth.force)
+    stuck, _ = cycle_rows(stream, truth.force + 2.0)
+    assert (left["foot"], right["foot"]) == ("left", "right")
+    assert left["duty"] == pytest.approx(0.6, abs=0.02)
+    assert left["period"] == pytest.approx(1.5, abs=walk.dt)
+    assert left["peak"] == pytest.approx(20.0 / (walk.mass * GRAVITY), rel=1e-9)
+    shifts = np.resize([-1.5e-3, 1.5e-3], left["cycles"])
+    assert left["repeat"] == pytest.approx(shifts.std(ddof=1), rel=0.02)
+    assert stuck["duty"] == 1.0
+    assert np.isnan(stuck["period"])
 
 
 CORNERS = np.array([(0.1, 0.05), (0.1, -0.05), (-0.1, 0.05), (-0.1, -0.05)])
