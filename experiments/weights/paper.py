@@ -12,10 +12,12 @@ from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import (
     NOTHING,
     Cell,
+    Frame,
     Table,
     decimal,
     number,
     table_of,
+    with_deviation,
 )
 from surefoot.experiments.weights.weighing import MethodErrors, WeighingReport, errors_of
 
@@ -133,9 +135,29 @@ def repeat_table(report: WeighingReport) -> Table:
     return table_of("repeats", f"{amount} repeats of each placement", columns, parts, _say("repeats"))
 
 
+def hole_table(report: WeighingReport) -> Table:
+    """Return where the maps see the repeated placements of the left foot, hole by hole."""
+    rows = report.repeats[report.repeats["foot"] == "left"]
+
+    def place(name: str) -> Cell:
+        def cell(spot: tuple[tuple[float, float, float], Frame]) -> str:
+            seen = 1e3 * spot[1][spot[1]["map"] == name][["cop_x", "cop_y"]]
+            return ", ".join(map(with_deviation, seen.mean(), seen.std()))
+
+        return cell
+
+    columns: dict[str, Cell] = {
+        "hole (mm)": lambda spot: f"{1e3 * spot[0][0]:.1f}, {1e3 * spot[0][1]:.1f}",
+        "weight (kg)": lambda spot: decimal(spot[0][2]),
+        **{_MAPS[name]: place(name) for name in rows["map"].unique()},
+    }
+    title = "CoP of repeated placements on the left foot, x, y (mm): mean ± standard deviation"
+    return table_of("repeats_holes", title, columns, rows.groupby(["x", "y", "load"]))
+
+
 def weight_tables(report: WeighingReport) -> tuple[Table, ...]:
     """Return all tables about known weights."""
-    return (paper_table_2()[0], table_3(report), repeat_table(report))
+    return (paper_table_2()[0], table_3(report), repeat_table(report), hole_table(report))
 
 
 def _cell(name: str) -> str:

@@ -6,7 +6,7 @@ import pytest
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY
 from surefoot.experiments.weights import weighing
-from surefoot.experiments.weights.paper import TABLE_3, repeat_table, table_3
+from surefoot.experiments.weights.paper import TABLE_3, hole_table, repeat_table, table_3
 from surefoot.experiments.weights.weighing import HOLE_PLAY, run_weighing, weigh_after_walk, weigh_cells
 from surefoot.sensors.devices.load_cells import load_cells, true_map
 from surefoot.sensors.presets import HX711_LOAD_CELLS, PERFECT_LOAD_CELLS
@@ -44,8 +44,17 @@ def test_repeated_placements_spread_as_weights_do_in_their_holes():
 
 
 def test_a_walk_brings_weights_most_of_the_way_back():
-    rmse = {row[0]: float(row[1]) for row in repeat_table(weigh_after_walk(methods=("moment",))).rows}
+    report = weigh_after_walk(methods=("moment",))
+    rmse = {row[0]: float(row[1]) for row in repeat_table(report).rows}
     assert rmse["weights"] < rmse["moment, walked"] < 0.3 * rmse["initial"]
+    holes = hole_table(report)
+    assert holes.columns == ("hole (mm)", "weight (kg)", "initial", "weights", "moment, walked")
+    assert len(holes.rows) == 5 * 2
+    for row in holes.rows:
+        told = [[float(part) for part in axis.split(" ± ")] for axis in row[3].split(", ")]
+        for place, (mean, std) in zip(map(float, row[0].split(", ")), told, strict=True):
+            assert abs(mean - place) < 1.0
+            assert std == pytest.approx(1e3 * HOLE_PLAY, rel=0.7)
 
 
 def test_perfect_cells_on_a_perfect_plate_need_nothing(ideal):
