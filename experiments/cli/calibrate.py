@@ -30,6 +30,12 @@ def walk(
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
     settle: Annotated[float, Option(help="Errors count from this time in s on.")] = 0.0,
     zero_phase: Annotated[bool, Option("--zero-phase", help="Filter with hindsight, as the paper.")] = False,
+    stand: Annotated[
+        float,
+        Option(
+            help="The window's weights from so many s of stand; measured: helps only a bad start's total."
+        ),
+    ] = 0.0,
     split_gaps: Annotated[bool, Option("--split-gaps", help="Go on after gaps in time.")] = False,
     topics: Topics = None,
     guess: Guess = False,
@@ -52,8 +58,10 @@ def walk(
         first, last = read.time[0], read.time[-1]
         if settle and not first <= settle < last:
             fail(f"--settle must be a time of the log, {first:.12g} to {last:.12g} s, got {settle:g}.")
+        if stand and not 0.0 < stand < last - first:
+            fail(f"--stand must be shorter than the log's {last - first:.4g} s and positive, got {stand:g}.")
         where: Any = {"folder": log.parent if out is None else out, "stem": log.stem, "file": log.name}
-        where |= {"accept": accept or "", "ros2": ros2}
+        where |= {"accept": accept or "", "ros2": ros2, "stand": stand}
         result = calibrate_log(read, method, start, settle=settle, zero_phase=zero_phase, **where)
     show(result.tables, result.files, notices=result.notices, as_json=as_json)
 

@@ -25,7 +25,7 @@ from surefoot.experiments.walking.notices import check_weight, log_notices, resu
 from surefoot.experiments.walking.page import write_walking_page
 from surefoot.experiments.walking.ros2 import parameters_of_log, write_node_parameters
 from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, terminal_tables
-from surefoot.experiments.walks.replay import replay_log, starting_map, with_map
+from surefoot.experiments.walks.replay import replay_log, standing_weights, starting_map, with_map
 from surefoot.files import atomic_path, write_text
 from surefoot.names import plain_name
 
@@ -58,14 +58,16 @@ def calibrate_log(
     file: str,
     settle: float = 0.0,
     zero_phase: bool = False,
+    stand: float = 0.0,
     ros2: bool = False,
     accept: str = "",
 ) -> CalibratedLog:
     """Replay a log by a method from a map, and write the result into a folder; a stem begins all names.
 
-    Errors count from ``settle`` s on; ``zero_phase`` filters with hindsight; messages call the log ``file``;
-    ``ros2`` adds a file of parameters for a ROS 2 node; ``accept`` is the reason to go on past what is
-    refused, which all files say. ``start`` is the name of a map, or a JSON file that holds one.
+    Errors count from ``settle`` s on; ``zero_phase`` filters with hindsight; of ``stand`` s at the beginning
+    the window takes its weights; messages call the log ``file``; ``ros2`` adds a file of parameters for a
+    ROS 2 node; ``accept`` is the reason to go on past what is refused, which all files say. ``start`` is the
+    name of a map, or a JSON file that holds one.
     Raises LogError if there is no such map or the feet's total cannot be in newtons, CalibrationRefused if
     the log contradicts itself, ValueError if there is no such method or nothing to score.
     """
@@ -77,6 +79,10 @@ def calibrate_log(
     initial = starting_map(log, start)
     if ros2 and "curves" in log.about:
         raise LogError(f"{file}: a ROS 2 node takes no curves, and the map to start from has some.")
+    if stand and method != "window":
+        raise ValueError(
+            f"A quiet stand tells the weights of the window alone, not of '{method}'; leave out --stand."
+        )
     options = _foot_length(log, file)
     if zero_phase and (np.diff(log.time) > MAX_GAP).any():
         raise LogError(
@@ -84,7 +90,8 @@ def calibrate_log(
         )
     notices = (*_judge(log, start, initial, file, accept), *log_notices(log, file))
     watch = partial(each, "calibrating")
-    estimate = replay_log(log, method, initial, zero_phase=zero_phase, watch=watch, **options)
+    weights = standing_weights(log, initial, stand) if stand else {}
+    estimate = replay_log(log, method, initial, zero_phase=zero_phase, watch=watch, **options, **weights)
     notices += result_notices(log, method, initial, estimate, file)
     node: dict[str, Any] = {}
     if ros2:

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from surefoot.calibration import Estimate, MomentumReference, Parameters, Reference, replay
+from surefoot.calibration.setup import OnlineSetup
 from surefoot.calibration.weights.known_map import read_map
-from surefoot.experiments.arrays import Floats
+from surefoot.calibration.window.config import confidence_from_standing
+from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 
@@ -23,6 +25,23 @@ def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Es
     # Accelerations are what can be filtered forwards and backwards.
     beliefs = log.reference if options.get("zero_phase") else beliefs_of(log, method)
     return replay(log.layout, method, log.raw, beliefs, steps_of(log), **known, **options)
+
+
+def standing_weights(log: Log, initial: Parameters, stand: float) -> dict[str, float]:
+    """Return the window's weights of a log's first ``stand`` s as the CoP paper takes them, as its options.
+
+    Raises LogError if the robot does not stand on its feet then.
+    """
+    known: dict[str, Any] = {"dt": log.dt, "lag": log.lag, "age": age_of(log)}
+    setup = OnlineSetup(layout=log.layout, mass=log.mass, initial=initial, **known)
+    # Filters settle in the first second; a reference describes the sample of `lag` samples ago.
+    rows = np.flatnonzero((log.time > log.time[0] + 1.0) & (log.time < log.time[0] + stand))
+    told = take_rows(log.reference, np.minimum(rows + log.lag, len(log) - 1))
+    try:
+        weights = confidence_from_standing(setup, log.raw[rows], told)
+    except ValueError as error:
+        raise LogError(f"{error} The log's first {stand:g} s were taken for a quiet stand.") from None
+    return dict(zip(("delta_force", "delta_cop"), weights, strict=True))
 
 
 def beliefs_of(log: Log, method: str) -> Reference | MomentumReference:

@@ -258,6 +258,11 @@ def test_options_that_no_log_has_are_refused(log: Log, tmp_path: Path) -> None:
     path = write_log(log, tmp_path / "walk.csv")
     for options, message in (
         (
+            ["--stand", "9", "--method", "window"],
+            "--stand must be shorter than the log's 0.7375 s and positive",
+        ),
+        (["--stand", "0.5"], "A quiet stand tells the weights of the window alone, not of 'moment'"),
+        (
             ["--topics", "no.toml"],
             "walk.csv: is a table; --topics names columns of bags, and walk.toml those of",
         ),

@@ -1,14 +1,17 @@
 """Recorded walks: repeatable, and blind to the truth they carry."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from surefoot.calibration.parameters import Parameters
 from surefoot.experiments.logs.format import Log, LogError
+from surefoot.experiments.walking.calibrate import calibrate_log
 from surefoot.experiments.walks.record import CONDITIONS, record_walk
-from surefoot.experiments.walks.replay import replay_logs, starting_map
+from surefoot.experiments.walks.replay import replay_logs, standing_weights, starting_map
 
 
 @pytest.mark.slow
@@ -38,6 +41,25 @@ def test_every_condition_starts_where_it_says(walks: dict[str, Log]) -> None:
         error = log.truth.scale * log.raw + log.truth.offset - log.truth.force
         standing = log.time < 3.0
         assert np.sqrt(np.mean(error[standing] ** 2)) < 0.05
+
+
+def test_the_window_takes_its_weights_of_a_quiet_stand(
+    walks: dict[str, Log], log: Log, tmp_path: Path, undrawn: None
+) -> None:
+    walk = walks["paper"]
+    weights = standing_weights(walk, starting_map(walk), 4.0)
+    # Where it has stood for long enough the cells and the reference agree better than in walking.
+    assert 1e-3 < weights["delta_force"] < 0.01
+    assert 2e-3 < weights["delta_cop"] < 0.05
+    made = calibrate_log(walk, "window", folder=tmp_path, stem="walk", file="walk.parquet", stand=4.0)
+    found = pd.read_parquet(made.walk).filter(regex="^force_.*_N$").to_numpy()
+    same, usual = (replay_logs([walk], "window", **options)[0].force for options in (weights, {}))
+    np.testing.assert_allclose(found, same, rtol=1e-6, atol=1e-6)
+    assert np.abs(found - usual).max() > 1e-3
+    with pytest.raises(
+        LogError, match=r"Only 0 of 0 samples .* The log's first 0\.5 s were taken for a quiet stand\."
+    ):
+        standing_weights(log, starting_map(log), 0.5)
 
 
 def test_none_is_the_starting_map(log: Log) -> None:
