@@ -1338,10 +1338,10 @@ SF_API sf_real sf_still_likelihood(sf_real sum, int count) {
     return count && isfinite(larger) ? sf_exp((sf_real)-0.5 * (sf_real)count * (larger - 1 - sf_log(larger))) : 0;
 }
 
-/* Still.take and _follow: let zeros follow the readings of a robot that stands still. Changes the belief, what is
-   published of drift, the readings of late, and by how much those of tares have moved. */
+/* Still.take and _hold: let readings of a robot that stands still change without a word of scales. Changes the belief, the
+   readings of late, and by how much those of tares have moved. */
 SF_API void sf_take_still(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n,
-                          sf_real duration, sf_modes *belief, sf_real *published, sf_still *still, sf_tares *tare) {
+                          sf_real duration, sf_modes *belief, const sf_real *published, sf_still *still, sf_tares *tare) {
     int K = c->channels, N = sf_states(c, m), wide = sf_waiting(c), count = 0;
     sf_real last = still->time, apart = s->time - last, rate = tare->rate * tare->rate, d = 0, off = 0;
     sf_real change[SF_CHANNELS], share = sf_min(apart / m->level_time, 1), likely;
@@ -1363,17 +1363,15 @@ SF_API void sf_take_still(const sf_config *c, const sf_moment_config *m, const s
     for (int i = 0; i < K; i++) {
         if (s->faults.lost[i] > (sf_real)0.5) continue;
         sf_real drift = rate * m->walk[K + i] * m->level_time;
-        sf_real known = likely * drift / (drift + m->tare_variance[i] / duration), drifted = known * change[i];
+        sf_real moved = likely * drift / (drift + m->tare_variance[i] / duration) * change[i];
         for (int j = 0; j < SF_MODES; j++) {
-            sf_real *P = belief->covariance + j * N * N;
+            sf_real *P = belief->covariance + j * N * N, *mean = belief->mean + j * N;
             int at = 2 * K + i;
-            belief->mean[j * N + at] -= drifted * belief->mean[j * N + i];
-            sf_add(P + at * N, -drifted, P + i * N, N);
-            for (int l = 0; l < N; l++) P[l * N + at] -= drifted * P[l * N + i];
-            P[at * N + at] -= known * rate * m->walk[K + i] * duration * sf_power2(published[i]);
+            mean[at] -= moved * (mean[i] - published[i]);
+            sf_add(P + at * N, -moved, P + i * N, N);
+            for (int l = 0; l < N; l++) P[l * N + at] -= moved * P[l * N + i];
         }
-        published[2 * K + i] -= drifted * published[i];
-        tare->moved[i] += drifted;
+        tare->moved[i] += moved;
     }
 }
 

@@ -18,7 +18,7 @@ d is the error of the believed centre of mass, m that of the mass, w an outside 
 the other three components.
 
 * A foot in the air shows all its zeros: the **tare** comes first (:mod:`surefoot.calibration.moment.tare`).
-* A robot that **stands still** shows how they drift (:mod:`surefoot.calibration.moment.still`).
+* A robot that **stands still** shows nothing of its scales (:mod:`surefoot.calibration.moment.still`).
 * Who holds the robot is a **mode**, in which w may be large (:mod:`surefoot.calibration.moment.modes`).
 * How bad the sensors are is weighed by **evidence** (:mod:`surefoot.calibration.moment.severity`).
 * Whatever the data do not determine stays at the start, and the estimate says so (``undetermined``).

@@ -94,7 +94,7 @@ class MomentFilter:
         blocks: Makes blocks of samples.
         model: Makes rows of blocks.
         tare: Tares feet.
-        still: Lets zeros follow the readings of a robot that stands still.
+        still: Keeps scales from what readings of a robot that stands still change by.
     """
 
     def __init__(self, setup: OnlineSetup, config: Moment) -> None:
@@ -264,11 +264,12 @@ class MomentFilter:
         state = self.blocks.begin(state)._replace(faults=faults, status=0)
         if ((block.read.mean(axis=0) < LEAST_READ) & (faults.lost < 0.5)).any():
             return self._rest(state, block, good=False)._replace(linked=0), np.nan, 0.0
-        belief, published, still, tare = self.still.take(
-            block, state.time, state.belief, state.published.mean, state.still, state.tare, faults.lost
+        known = state.published.mean
+        belief, still, tare = self.still.take(
+            block, state.time, state.belief, known, state.still, state.tare, faults.lost
         )
         state = state._replace(still=still)
-        belief, published, tare = self.tare.take(block, state.time, belief, published, tare, faults.lost)
+        belief, published, tare = self.tare.take(block, state.time, belief, known, tare, faults.lost)
         if (self.faults.stand_in.count_lost(faults.lost) > 1.5).any():
             # Nothing stands in for two cells of a plate; zeros are seen without them.
             zeros = state.published._replace(mean=published)

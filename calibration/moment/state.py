@@ -41,7 +41,7 @@ class TareState(NamedTuple):
 
     Attributes:
         reading: Mean reading of each channel in W, shape (K,).
-        moved: By how much readings were seen to drift since while the robot stood still, in W, shape (K,).
+        moved: By how much readings have moved since while the robot stood still, in W, shape (K,).
         time: When it ended in s, -1 before the first, shape (F,).
         rate: By how many times sensors drift faster than stated.
         followed: From how many tares that was learnt.

@@ -1,10 +1,11 @@
-r"""A robot that stands still bears the same loads: its readings change by their drift.
+r"""A robot that stands still shows nothing of its scales: its readings change by their drift.
 
-With d the change of a block's mean readings since the last, q their drift's variance in between, and K
-channels, the readings of a robot that stands still change by v = mean(d^2 / q) of 1. That drift alone changes
-them, and no load, has a likelihood of exp(-K / 2 (v - 1 - log v)) where v is larger. The same is asked of
-their distance to a mean over some seconds, for a robot that moves slowly. So large a share of the change is
-taken for drift: it says nothing of scales, which readings that drift draw to 0 otherwise.
+Readings that drift are regressors with errors, which draw scales to 0: from a load that stays and a reading
+that does not, a filter learns that the scale is small. With d the change of a block's mean readings since the
+last, q their drift's variance in between, and K channels, drift alone changes them by v = mean(d^2 / q) of 1.
+That it was drift alone, and no load, has a likelihood of exp(-K / 2 (v - 1 - log v)) where v is larger. The
+same is asked of their distance to a mean over some seconds, for a robot that moves slowly. So large a share of
+a change says nothing of scales: it is a force by the published ones, or drift, and the momentum tells which.
 """
 
 from typing import NamedTuple
@@ -25,7 +26,7 @@ LEAST_STILL = 0.01
 
 
 class Still(NamedTuple):
-    """How readings of a robot that stands still tell their drift, of one setup.
+    """Keeps scales from what readings of a robot that stands still change by, for one setup.
 
     Attributes:
         columns: The unknowns.
@@ -56,24 +57,24 @@ class Still(NamedTuple):
         state: StillState,
         tare: TareState,
         lost: Array,
-    ) -> tuple[Belief, Array, StillState, TareState]:
-        """Let zeros follow the readings of a robot that stands still.
+    ) -> tuple[Belief, StillState, TareState]:
+        """Let readings of a robot that stands still change without a word of scales.
 
         Args:
             block: The samples.
             time: At its end in s.
-            belief: The modes' posteriors, whose zeros have drifted for the block already.
+            belief: The modes' posteriors.
             published: The published map, shape (M,).
             state: Readings until then.
             tare: Results of tares before.
             lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
-            The belief, the published map, the state, and the tares, whose readings have moved.
+            The belief, the state, and the tares, whose readings have moved.
         """
         reading = block.force.mean(axis=0)
         if state.time < 0.0:
-            return belief, published, StillState(reading, reading, time), tare
+            return belief, StillState(reading, reading, time), tare
         apart, drift, noise = time - state.time, tare.rate**2 * self.drift, self.noise / block.duration
         change, level = (
             reading - state.reading,
@@ -86,23 +87,19 @@ class Still(NamedTuple):
         )
         state = StillState(reading, level, time)
         if still < LEAST_STILL:
-            return belief, published, state, tare
+            return belief, state, tare
         # Noise comes and goes, and is all that a sensor shows that does not drift.
-        share = still * there * drift * LEVEL_TIME / (drift * LEVEL_TIME + noise)
-        belief, published = self._follow(belief, published, share * change, share * drift * block.duration)
-        return belief, published, state, tare._replace(moved=tare.moved + share * change)
+        moved = change * (still * there * drift * LEVEL_TIME / (drift * LEVEL_TIME + noise))
+        return self._hold(belief, published, moved), state, tare._replace(moved=tare.moved + moved)
 
-    def _follow(self, belief: Belief, published: Array, drifted: Array, known: Array) -> tuple[Belief, Array]:
-        """Let zeros drift by ``drifted`` in W; a variance ``known`` of it is no longer open, shapes (K,)."""
+    def _hold(self, belief: Belief, published: Array, moved: Array) -> Belief:
+        """Let readings move in W, shape (K,), by forces of the published scales, whatever the scales are."""
         scale, drift = self.columns.scale, self.columns.drift
-        mean, covariance, published = belief.mean.copy(), belief.covariance.copy(), published.copy()
-        mean[:, drift] -= drifted * mean[:, scale]
-        covariance[:, drift] -= drifted[:, None] * covariance[:, scale]
-        covariance[:, :, drift] -= drifted * covariance[:, :, scale]
-        at = np.arange(drift.start, drift.stop)
-        covariance[:, at, at] -= known * published[scale] ** 2
-        published[drift] -= drifted * published[scale]
-        return belief._replace(mean=mean, covariance=covariance), published
+        mean, covariance = belief.mean.copy(), belief.covariance.copy()
+        mean[:, drift] -= moved * (mean[:, scale] - published[scale])
+        covariance[:, drift] -= moved[:, None] * covariance[:, scale]
+        covariance[:, :, drift] -= moved * covariance[:, :, scale]
+        return belief._replace(mean=mean, covariance=covariance)
 
 
 def _likelihood(change: Array, variance: Array) -> float:
