@@ -4,8 +4,8 @@ Readings that drift are regressors with errors, which draw scales to 0: from a l
 that does not, a filter learns that the scale is small. With d the change of a block's mean readings since the
 last, q their drift's variance in between, and K channels, drift alone changes them by v = mean(d^2 / q) of 1.
 That it was drift alone, and no load, has a likelihood of exp(-K / 2 (v - 1 - log v)) where v is larger. The
-same is asked of their distance to a mean over some seconds, for a robot that moves slowly. So large a share of
-a change says nothing of scales: it is a force by the published ones, or drift, and the momentum tells which.
+same is asked of their distance to a mean over some seconds, for a robot that moves slowly. That share of a
+change says nothing of scales: it is a force by the published ones, or drift, and the momentum tells which.
 """
 
 from typing import NamedTuple

@@ -70,7 +70,7 @@ def force_of(belief, columns, reading, mode=0):
 
 @pytest.mark.parametrize("rate", [0.3, 1.0, 3.0])
 def test_drift_of_half_a_minute_is_no_error_of_scales(rate):
-    """A force is as sure as by what has drifted alone; without the part, it is as unsure as scales are, too."""
+    """A force becomes less sure by what has drifted alone."""
     readings = drift(300, rate)
     columns, first, belief, published, tares = follow(readings, rate=rate)
     total = readings[-1] - readings[0]
