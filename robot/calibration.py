@@ -26,15 +26,9 @@ from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses, NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
-from surefoot.robot.foot_view import (
-    FootView,
-    check_certainty,
-    check_parts,
-    default_parts,
-    flaw_of,
-)
+from surefoot.robot.foot_view import FootView, check_certainty, check_parts, default_parts, flaw_of
 from surefoot.robot.native import SampleBackend, native_sample
-from surefoot.robot.python import Told, believe
+from surefoot.robot.python import Told
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.robot.sensing.sensors import RobotSensors
@@ -128,10 +122,7 @@ class CalibrationSetup:
         self.layout, self.drawing, self.age = instruments.layout, drawing, instruments.age
         self.ages = instruments.ages
         self.lag, self.fresh, self.stream, self.show = lag, fresh, stream, tuple(show)
-        usual = {
-            "gravity": drawing.gravity,
-            "force_threshold": contact_force(drawing.weight),
-        }
+        usual = {"gravity": drawing.gravity, "force_threshold": contact_force(drawing.weight)}
         if equipment.seldom and self.method == "moment":
             usual["ripple"] = ALIASED
         self.options = usual | layout_options(self.layout, drawing) | options
@@ -256,10 +247,6 @@ class RobotCalibration(OfOneVersion):
         if self._backend is None:
             raise gym.error.ResetNeeded("There is no estimate before the first reset().")
         return self._backend
-
-    def believe(self, command: Any) -> bool:
-        """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
-        return believe(self.beliefs, self._sensors, self.reference_time, command, self.frozen, self._chances)
 
     def sample(self, command: Any) -> Told:
         """Take in one sample; return the observation and the ``info``, as fresh arrays."""

@@ -37,12 +37,7 @@ class Chances:
         return waits
 
     def add(self, upright: bool, standing: bool) -> None:
-        """Count one sample.
-
-        Args:
-            upright: Whether it has a reference.
-            standing: Whether a foot surely stood.
-        """
+        """Count one sample: whether it has a reference, and whether a foot surely stood."""
         waiting, samples, before, stood, run, longest = self.counts.tolist()
         run = run + 1 if upright and standing else 0
         self.counts[:] = waiting, samples + 1, before + upright, stood + (run > 0), run, max(run, longest)
@@ -50,9 +45,7 @@ class Chances:
     def judge(self, learnt: bool, dt: float) -> bool:
         """Warn, once and not before :data:`PATIENCE`, if nothing was learnt; return whether that was done.
 
-        Args:
-            learnt: Whether anything was.
-            dt: Time between samples in s.
+        Samples are ``dt`` s apart.
         """
         _, samples, upright, standing, _, longest = self.counts.tolist()
         if self._warned or (not learnt and samples * dt < PATIENCE):

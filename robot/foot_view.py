@@ -43,21 +43,8 @@ def check_parts(parts: Sequence[str]) -> None:
         )
 
 
-def check_places(parts: Sequence[str], flaw: str) -> None:
-    """Raise ValueError if centres of pressure of feet are to be shown that have none, for a reason."""
-    if flaw and "cop_foot" in parts:
-        raise ValueError(
-            f"'cop_foot' cannot be shown. {flaw} Show 'cop', that of all feet together, and 'vgrf' instead."
-        )
-
-
 def flaw_of(layout: FeetLayout, flaw: str) -> str:
-    """Return why feet have no centres of pressure of their own, or nothing.
-
-    Args:
-        layout: The feet and their channels.
-        flaw: Why the robot's drawing gives them no areas.
-    """
+    """Return why feet have no centres of pressure of their own, or ``flaw``, why they have no areas."""
     blind = [foot.name for foot in layout.feet if np.linalg.matrix_rank(foot.wrench_map[2:5]) < 3]
     if blind and not flaw:
         return f"The channels of {blind} do not measure where on the foot forces act."
@@ -123,7 +110,11 @@ class FootView:
     ) -> None:
         check_parts(parts)
         flaw = flaw_of(layout, flaw)
-        check_places(parts, flaw)
+        if flaw and "cop_foot" in parts:
+            raise ValueError(
+                f"'cop_foot' cannot be shown. {flaw} Show 'cop', that of all feet together, and 'vgrf' "
+                "instead."
+            )
         self.parts = tuple(part for part in parts if part != RAW)
         self.flawed, self.rolls = bool(flaw), rolls
         channels, feet = layout.channels, len(layout.feet)
@@ -155,14 +146,9 @@ class FootView:
         self.held[STD] = COP_BOUND
 
     def show(self, estimate: Estimate, soles: Floats) -> dict[str, NDArray[Any]]:
-        """Show one sample.
+        """Show one sample in fresh arrays by part, with the soles where they are now, shape (F, 4).
 
-        Args:
-            estimate: The calibrator's.
-            soles: Where the soles are now (:meth:`~surefoot.robot.Beliefs.soles`), shape (F, 4).
-
-        Returns:
-            Fresh arrays by part. Where a centre of pressure is not defined, the last one that was is held.
+        Where a centre of pressure is not defined, the last one that was is held.
         """
         total, feet = np.asarray(estimate.cop_valid)[..., None], np.asarray(estimate.cop_foot_valid)
         valid = np.concatenate([total, feet & (not self.flawed)], axis=-1)

@@ -30,14 +30,6 @@ NOTHING = None, 0
 class NativeSample:
     """The library for one robot; its beliefs, its filter and the held values stay those of the objects.
 
-    Args:
-        beliefs: The robot's.
-        native: Its filter.
-        state: The filter's state.
-        view: The view of the feet.
-        dt: Time between samples in s.
-        chances: Counts its samples.
-
     Attributes:
         sampled: Whether it has taken in any sample.
         many: The library's function of several robots.
@@ -87,9 +79,7 @@ class NativeSample:
     def outputs(self, memory: NDArray[np.uint8] | None = None) -> Told:
         """Return the observation of the last sample, and the ``info`` of the estimate, in fresh arrays.
 
-        Args:
-            memory: As :attr:`memory`, of each of N robots of this one's kind, shape (N, bytes): these are in
-                front of each array then; its own by default.
+        They are of N robots of this one's kind, which are in front, if their memory is given, (N, bytes).
         """
         alone, memory = memory is None, self.memory if memory is None else memory
         # What comes after the last number is room that this robot has no use for.
@@ -125,13 +115,10 @@ class NativeSample:
 
 
 class ManySamples:
-    """Samples of many robots in one call of the library.
-
-    Args:
-        robots: The library's objects of each of them, one at least and all of one kind.
+    """Samples of many robots, one at least and all of one kind, in one call of the library.
 
     Attributes:
-        robots: The same.
+        robots: The library's objects of each of them.
         sampled: Whether each of them has taken in any sample, shape (N,).
     """
 
@@ -157,16 +144,10 @@ class ManySamples:
         hold: bool,
         threads: int,
     ) -> None:
-        """Take in a sample of each of n robots.
+        """Take in a sample of the n robots of these numbers.
 
-        Args:
-            which: Their numbers, shape (n,).
-            sensed: All robots' readings and packets.
-            planned: Feet planned to stand, then to swing, shape (n, 2 F); ``None`` where nobody plans.
-            then: The moments of the samples, in s on the hosts' clocks, shape (n,).
-            now: The hosts' clocks in s, shape (n,).
-            hold: Whether nothing is learnt.
-            threads: As of :func:`~surefoot.native.call_for_many`.
+        ``planned`` are feet planned to stand, then to swing, shape (n, 2 F), or ``None``; ``then`` are the
+        moments of the samples and ``now`` the hosts' clocks in s, shape (n,).
         """
         plans = np.zeros(len(which), dtype=np.uintp)
         how = np.full(len(which), 2 * hold, dtype=np.int32)

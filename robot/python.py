@@ -21,17 +21,7 @@ Told = tuple[dict[str, NDArray[Any]], dict[str, Any]]
 
 
 class PythonSample:
-    """The specification.
-
-    Args:
-        beliefs: The robot's.
-        calibrator: Its calibrator.
-        view: The view of its feet.
-        chances: Counts its samples.
-
-    Attributes:
-        sampled: Whether it has taken in any sample.
-    """
+    """The specification; ``sampled`` says whether it has taken in any sample."""
 
     def __init__(
         self, beliefs: AnyBeliefs, calibrator: FootCalibrator, view: FootView, chances: Chances
@@ -49,8 +39,12 @@ class PythonSample:
             command: The robot's command to itself, if any.
             hold: Whether nothing is learnt of it.
         """
-        beliefs = self._beliefs
-        if believe(beliefs, sensors, then, command, hold, self._chances):
+        beliefs, chances = self._beliefs, self._chances
+        waits = chances.next()
+        beliefs.update(sensors.packets)
+        fell = beliefs.sample(then, command, hold or waits)
+        chances.add(beliefs.known, beliefs.standing)
+        if fell:
             self._calibrator.retract()
         self._estimate = estimate = self._calibrator.update(sensors.raw, beliefs.believed)
         self.sampled = True
@@ -60,20 +54,6 @@ class PythonSample:
     def estimate(self) -> Estimate:
         """Return the last estimate."""
         return self._estimate
-
-
-def believe(
-    beliefs: AnyBeliefs, sensors: RobotSensors, then: float, command: Any, hold: bool, chances: Chances
-) -> bool:
-    """Find the reference of one sample, and count it; return whether the robot has just fallen.
-
-    Arguments are those of :meth:`PythonSample.sample`.
-    """
-    waits = chances.next()
-    beliefs.update(sensors.packets)
-    fell = beliefs.sample(then, command, hold or waits)
-    chances.add(beliefs.known, beliefs.standing)
-    return fell
 
 
 def info_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:

@@ -56,11 +56,9 @@ class StartingMap:
         return "calibrated" if self.calibrated else "nominal"
 
     def off(self, true: Parameters, drawn: NDArray[np.float64]) -> Parameters:
-        """Return a true map that is off by the errors of a calibrated start.
+        """Return a true map, shape (..., K), that is off by the errors of a calibrated start.
 
-        Args:
-            true: The map, shape (..., K).
-            drawn: Standard normal numbers, shape (2, ..., K).
+        ``drawn`` are standard normal numbers, shape (2, ..., K).
         """
         return Parameters(1.0 + self._errors.scale * drawn[0], self._errors.offset * drawn[1]).after(true)
 

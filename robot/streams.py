@@ -26,13 +26,8 @@ def device_streams(stream: int, seed: int | None) -> dict[str, Stream]:
 def wants_fresh(choice: str | None, seed: int | None, always: bool, drawn: bool) -> bool:
     """Return whether a reset draws fresh hardware.
 
-    A seed names one course of events, so that it draws; without one hardware is kept.
-
-    Args:
-        choice: The choice of the reset's options.
-        seed: Of the reset.
-        always: Whether every reset draws fresh hardware.
-        drawn: Whether there is anything to keep.
+    A seed names one course of events, so that it draws; without one hardware is kept, unless the reset's
+    ``choice`` is ``"fresh"``, every reset ``always`` draws, or nothing was ``drawn`` yet.
     """
     if not drawn:
         return True

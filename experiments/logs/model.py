@@ -16,9 +16,9 @@ from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.motion import Motion
 from surefoot.experiments.logs.table import LogError
-from surefoot.robot.beliefs.believed import nothing
+from surefoot.robot.beliefs.believed import nothing, unknown
 from surefoot.robot.beliefs.errors import NO_ERRORS
-from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
+from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.sensors.telemetry.computer import TelemetryLayout

@@ -21,8 +21,7 @@ from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.walkers import G1_FEET, STAND_TIME, TruthTap, make_g1
 from surefoot.experiments.weights.weighing import weigh_cells
-from surefoot.robot.beliefs.believed import nothing
-from surefoot.robot.beliefs.momentum import unknown
+from surefoot.robot.beliefs.believed import nothing, unknown
 from surefoot.robot.sensing.instruments import Instruments, SensorsInAnkles
 from surefoot.sensors import ForceTorque, LoadCells, sized
 from surefoot.sensors.presets import HX711_LOAD_CELLS

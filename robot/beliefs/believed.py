@@ -1,10 +1,12 @@
 """The last reference of a robot's beliefs: whether anything is known, and how ``info`` shows it."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from surefoot.calibration import MomentumReference, Reference
+
+Believes = TypeVar("Believes", Reference, MomentumReference)
 
 
 class Believed:
@@ -33,18 +35,20 @@ class Believed:
 
 def nothing(feet: int) -> Reference:
     """Return the reference of a robot that knows nothing: NaN, and no foot in stance or swing."""
-    unknown, soles, unsure = np.full((5, 3), np.nan), np.full((feet, 4, 3), np.nan), np.zeros((2, feet), bool)
-    return Reference(
-        com=unknown[0],
-        com_acceleration=unknown[1],
-        angular_momentum_rate=unknown[2],
-        position_sole=soles[:, 3],
-        R_level_sole=soles[:, :3],
-        stance=unsure[0],
-        swing=unsure[1],
-        accelerometer=unknown[3],
-        gyroscope=unknown[4],
-    )
+    return _unknown(Reference, feet)
+
+
+def unknown(feet: int) -> MomentumReference:
+    """Return the same with the momentum."""
+    return _unknown(MomentumReference, feet)
+
+
+def _unknown(kind: type[Believes], feet: int) -> Believes:
+    vectors, soles, unsure = np.full((5, 3), np.nan), np.full((feet, 4, 3), np.nan), np.zeros((2, feet), bool)
+    feet_own = {"position_sole": soles[:, 3], "R_level_sole": soles[:, :3]}
+    feet_own |= {"stance": unsure[0], "swing": unsure[1]}
+    others = (name for name in kind._fields if name not in feet_own)
+    return kind(**feet_own, **dict(zip(others, vectors, strict=False)))
 
 
 def reference_info(reference: Reference | MomentumReference) -> dict[str, Any]:

@@ -76,14 +76,9 @@ class Plan:
     def at(
         self, stance: NDArray[np.bool_], swing: NDArray[np.bool_]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Take in the present plan, and return which feet surely stood or swung then.
+        """Take in feet planned to stand and to swing now, and return those that surely did so then.
 
-        Args:
-            stance: Feet planned to stand, shape (F,).
-            swing: Feet planned to swing, shape (F,).
-
-        Returns:
-            Feet that surely stood and feet that surely swung ``lag`` samples ago, shape (F,) each.
+        All have shape (F,); then is ``lag`` samples ago.
         """
         planned = [*stance.tolist(), *swing.tolist()]
         self.runs.append([run + 1 if held else 0 for run, held in zip(self.runs[-1], planned, strict=True)])
@@ -115,13 +110,9 @@ class Kinematics:
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Take in the robot's beliefs of one moment, and return which feet surely stood or swung then.
 
-        Args:
-            reference: The beliefs, of samples that follow each other.
-            accelerometer: Specific force then in m/s^2, shape (3,).
-
-        Returns:
-            Feet that surely stood and feet that surely swung then, shape (F,) each: a foot's state has to
-            have been the same for :data:`CONTACT_MARGIN` samples.
+        Those have shape (F,). Samples follow each other, and a foot's state has to have been the same for
+        :data:`CONTACT_MARGIN` of them.
+        The specific force of the accelerometer is in m/s^2, shape (3,).
         """
         # A foot on its toes or on an edge bears load, wherever the middle of its sole is.
         arm = np.einsum("fi,fni->fn", reference.R_level_sole[:, 2], self._places) - self._radius
@@ -170,9 +161,8 @@ class Upright:
     def at(self, reference: Reference, force_bias: NDArray[np.float64]) -> bool:
         """Take in the robot's beliefs of one moment, and return whether it was upright then.
 
-        Args:
-            reference: The beliefs, of samples that follow each other; NaN, where nothing is known, passes.
-            force_bias: The believed error of its accelerometer in m/s^2, shape (3,).
+        Samples follow each other; NaN, where nothing is known, passes. The believed error of the
+        accelerometer is in m/s^2, shape (3,).
         """
         x, y, z = reference.com_acceleration.tolist()
         self.fell = False

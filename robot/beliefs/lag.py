@@ -33,24 +33,15 @@ def usual_lag(link: Link, period: float, dt: float, age: float) -> int:
 
 
 def waiting_samples(lag: int, age: float, dt: float) -> int:
-    """Return for how many samples of an episode a reference may still be about the one before.
+    """Return for how many samples, ``dt`` s apart, a reference may still be about the episode before.
 
-    Args:
-        lag: How many samples ago a reference describes the feet.
-        age: As of :func:`usual_lag`.
-        dt: Time between samples in s.
+    It describes the feet ``lag`` samples ago; the age is as of :func:`usual_lag`.
     """
     return lag + 1 + ceil(age / dt - 1e-9)
 
 
 def check_lag(lag: int, telemetry: Telemetry, age: float) -> None:
-    """Raise ValueError if a lag is so long that the packets it needs are no longer kept.
-
-    Args:
-        lag: In samples.
-        telemetry: As of :func:`usual_lag`.
-        age: As of :func:`usual_lag`.
-    """
+    """Raise ValueError if a lag in samples is so long that the packets it needs are no longer kept."""
     # The newest packet that can have come, when the jitter was kind.
     youngest = max(telemetry.link.delay - JITTER_BOUND * telemetry.link.jitter, 0.0)
     period = packets_per_join(telemetry.period) * telemetry.period

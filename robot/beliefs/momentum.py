@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import MomentumReference, Reference
-from surefoot.robot.beliefs.believed import Believed
+from surefoot.robot.beliefs.believed import Believed, unknown
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs, Posture
@@ -177,17 +177,3 @@ class Touching(NamedTuple):
         if drawing.flaw and len(drawing.feet) == 2:
             return cls(np.zeros((2, 1, 4)), False)
         return cls(drawing.touching, bool(drawing.flaw))
-
-
-def unknown(feet: int) -> MomentumReference:
-    """Return the reference of a robot that knows nothing: NaN, and no foot in stance or swing."""
-    vectors, soles, unsure = np.full((3, 3), np.nan), np.full((feet, 4, 3), np.nan), np.zeros((2, feet), bool)
-    return MomentumReference(
-        com=vectors[0],
-        com_velocity=vectors[1],
-        angular_momentum=vectors[2],
-        position_sole=soles[:, 3],
-        R_level_sole=soles[:, :3],
-        stance=unsure[0],
-        swing=unsure[1],
-    )

@@ -10,9 +10,9 @@ from surefoot.calibration import MomentumReference, Reference
 from surefoot.calibration.native import ReferenceRecord
 from surefoot.native import CALIBRATION, Library, c_header, require
 from surefoot.pickles import Made, refuse
-from surefoot.robot.beliefs.believed import nothing, reference_info
+from surefoot.robot.beliefs.believed import nothing, reference_info, unknown
 from surefoot.robot.beliefs.contacts import plan_window
-from surefoot.robot.beliefs.momentum import MomentumBeliefs, unknown
+from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.beliefs.strapdown import StrapdownConstants
 from surefoot.sensors.transport.link import Packets
@@ -48,7 +48,8 @@ class NativeBeliefs:
         self.believed, self._other, self._moved = (ReferenceRecord(library, kind, F) for kind in kinds)
         if found is None:
             raise ValueError("The robot has a longer lag than the library has room for.")
-        self._timing, self._state = found, np.zeros(_size(library, self._momentum), np.uint8)
+        size = library.places["momentum_beliefs" if self._momentum else "beliefs"][""][2]
+        self._timing, self._state = found, np.zeros(size, np.uint8)
         self._rows = np.zeros((AT_ONCE, 2 + beliefs.layout.size))
         self._slots = [(row[:2], row[2:]) for row in self._rows]
         self._planned, self._soles = np.zeros(2 * F, np.bool_), np.zeros((F, 4), library.real)
@@ -230,8 +231,3 @@ def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
     }
     header = "surefoot_strapdown.h" if native._momentum else "surefoot_beliefs.h"
     return c_header(header, sizes, {"sf_model model": model, "sf_timing timing": timing})
-
-
-def _size(library: Library, momentum: bool) -> int:
-    """Return the size in bytes of the record of beliefs, without momentum or with it."""
-    return library.places["momentum_beliefs" if momentum else "beliefs"][""][2]

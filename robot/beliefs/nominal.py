@@ -126,12 +126,7 @@ class NominalModel:
     @classmethod
     def of_drawing(cls, drawing: "RobotDrawing", errors: BeliefErrors) -> "NominalModel":
         """Make it of the drawing of a robot with feet."""
-        return cls(
-            drawing.spec(),
-            errors,
-            sites=(drawing.imu, *drawing.soles),
-            torso=drawing.torso,
-        )
+        return cls(drawing.spec(), errors, sites=(drawing.imu, *drawing.soles), torso=drawing.torso)
 
     @property
     def feet(self) -> int:
@@ -253,9 +248,8 @@ def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
 def _strip(spec: mujoco.MjSpec, sites: tuple[str, ...]) -> mujoco.MjSpec:
     """Leave the bodies, the joints and some sites only."""
     names = [site.name for site in spec.sites]
-    for name in sites:
-        if name not in names:
-            raise ValueError(f"The robot has no site '{name}'; it has {names}.")
+    if lacking := [name for name in sites if name not in names]:
+        raise ValueError(f"The robot has no site '{lacking[0]}'; it has {names}.")
     parts = ("geoms", "actuators", "sensors", "equalities", "pairs", "keys", "cameras", "lights")
     for part in parts:
         for element in list(getattr(spec, part)):

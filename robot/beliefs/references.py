@@ -23,13 +23,13 @@ a common tilt cancels to first order.
 from collections.abc import Iterator
 from functools import partial
 from math import floor, sqrt
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration import MomentumReference, Reference
-from surefoot.robot.beliefs.believed import Believed, nothing
+from surefoot.calibration import Reference
+from surefoot.robot.beliefs.believed import Believed, Believes, nothing
 from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
@@ -37,8 +37,6 @@ from surefoot.robot.beliefs.odometry import Odometry
 from surefoot.robot.beliefs.strapdown import RollingOdometry
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
-
-Believes = TypeVar("Believes", Reference, MomentumReference)
 
 SLOPE = 3
 """Packets over which the soles' velocities are taken."""
@@ -407,13 +405,9 @@ class Beliefs(Believed):
         return self.interpolate(self.ring, time, low, high)
 
     def interpolate(self, ring: NDArray[np.float64], time: float, low: int, high: int) -> NDArray[np.float64]:
-        """Interpolate a ring of rows, of the middles before packets, at a moment.
+        """Interpolate a ring of rows, of the middles before packets, (HISTORY, ...), at a moment in s.
 
-        Args:
-            ring: A row for each of the last packets by number, shape (HISTORY, ...).
-            time: The moment in s of the host's clock.
-            low: Number of the first row to use.
-            high: Number of the last.
+        Rows are used from the packet of number ``low`` to that of ``high``.
         """
         index = (time - self.clock) / self.period + 0.5
         index = min(max(index, low), high)
@@ -429,11 +423,8 @@ def _level(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Find the level frame: its rotation from the odometry frame, and its origin in its own axes.
 
-    It is midway between the soles at the height of the lowest one, and heads as they do on the whole.
-
-    Args:
-        soles: Their places in m, shape (F, 3).
-        axes: Their axes x, y and z, shape (3 F, 3).
+    It is midway between the soles, shape (F, 3) in m, at the height of the lowest one, and heads as they do
+    on the whole; their axes x, y and z have shape (3 F, 3).
     """
     x, y, _ = axes[::3].sum(axis=0).tolist()
     norm = 1.0 / sqrt(x * x + y * y)

@@ -160,13 +160,9 @@ class RollingOdometry:
     """Turns the torso of a robot on round feet on, as :class:`Odometry` does by the soles of flat ones.
 
     A round foot does not show the level by the way in which it is turned; its lowest point stands
-    still. The accelerometer's excess along the ground is part of the tilt.
-
-    Args:
-        model: The robot as it believes itself to be.
-        period: Time between packets in s.
-        corners: Centres of the parts that may touch in the sole frames in m, shape (F, n, 3).
-        radius: Their radii in m, shape (F, n).
+    still. The accelerometer's excess along the ground is part of the tilt. Parts that may touch have
+    centres in the sole frames, shape (F, n, 3), and radii, shape (F, n), in m; packets are ``period`` s
+    apart.
 
     Attributes:
         force_bias: Zeros: nothing is taken for an error of the accelerometer, shape (3,).

@@ -59,14 +59,7 @@ class Conditions(NamedTuple):
         return Condition(min(max(1.0, self.lowest), self.highest), self.faults)
 
     def draw(self, before: Condition, fresh: bool, channels: int, rng: Rng) -> Condition:
-        """Draw the condition of an episode.
-
-        Args:
-            before: That of the episode before.
-            fresh: Whether the sensors are fresh: only then does the severity change.
-            channels: Number of channels, K.
-            rng: Where chance comes from.
-        """
+        """Draw the condition of an episode of K channels; the severity changes with fresh sensors alone."""
         severity, faults = before.severity, self.faults
         if fresh:
             severity = self.lowest
@@ -101,9 +94,7 @@ def severity_range(severity: Any) -> tuple[float, float]:
 def severity_of_each(severity: Any, robots: int) -> list[Any]:
     """Return the severity of each of some robots.
 
-    Args:
-        severity: A number or a tuple (lowest, highest) for all; or a list or an array of such, one a robot.
-        robots: How many.
+    Given are a number or a tuple (lowest, highest) for all, or a list or an array of such, one a robot.
 
     Raises:
         ValueError: If there are more or fewer values than robots.

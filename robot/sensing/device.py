@@ -54,11 +54,8 @@ def device_for_feet(config: str | Mapping[str, Any] | FootDevice, feet: int, nam
 def first_steps(configs: tuple[FootDevice, ...], dt: float) -> list[float]:
     """Return after how long to read robots that start an episode, again and again, in s.
 
-    Every chip delivers at least once, and readings in filters or on their way run through.
-
-    Args:
-        configs: The instruments under a foot.
-        dt: Duration of a control step in s.
+    Every chip delivers at least once, and readings in filters or on their way run through; control steps are
+    ``dt`` s long.
     """
     slowest = max(
         1.0 / c.rate[0] if isinstance(c, LoadCells) and c.rate is not None else 0.0 for c in configs

@@ -109,11 +109,7 @@ class Equipment:
         imu = names[0] if given.imu is None else given.imu
         encoders = names[1] if given.encoders is None else given.encoders
         link = names[2] if given.link is None else given.link
-        self._configs = (
-            resolve(imu, Imu, "imu"),
-            resolve(encoders, Encoders, "encoders"),
-            timely_link(link),
-        )
+        self._configs = resolve(imu, Imu, "imu"), resolve(encoders, Encoders, "encoders"), timely_link(link)
         self._link_by_name = isinstance(link, str)
         self.computer = tuple(part if isinstance(part, str) else "custom" for part in (imu, encoders, link))
         self.fresh, self._stream = given.fresh, given.stream
@@ -162,11 +158,9 @@ class Equipment:
         return device_streams(self._stream, seed)
 
     def telemetry(self, dt: float, substeps: int) -> Telemetry:
-        """Build telemetry; a link by name sends no more packets than there are moments of truth.
+        """Build telemetry of control steps of ``dt`` s with so many substeps, the rows of truth.
 
-        Args:
-            dt: Duration of a control step in s.
-            substeps: Rows of truth in one.
+        A link by name sends no more packets than there are moments of truth.
         """
         imu, encoders, link = self._configs
         if self._link_by_name and link.rate is not None:
@@ -175,16 +169,11 @@ class Equipment:
 
     def notes(self) -> dict[str, str]:
         """Name the robot and the sensors that saved hardware belongs to."""
+        drawing, places = self.drawing, self.drawing.position_cell_sole
+        mark = sha256(drawing.xml.encode() + (b"" if places is None else places.tobytes())).hexdigest()[:12]
         return {
-            "robot": _robot_note(self.drawing, self._joint_names),
+            "robot": f"{drawing.torso} with {', '.join(self._joint_names)}, drawing {mark}",
             "sensors": " ".join(repr(part.config) for part in self.instruments.parts),
             "channels": " ".join(self.instruments.layout.channel_names),
             "faults": "; ".join(map(repr, (*self.conditions.faults, *self.conditions.chances))) or "none",
         }
-
-
-def _robot_note(drawing: RobotDrawing, joint_names: tuple[str, ...]) -> str:
-    """Identify a robot in files that are saved of it."""
-    places = b"" if drawing.position_cell_sole is None else drawing.position_cell_sole.tobytes()
-    mark = sha256(drawing.xml.encode() + places).hexdigest()[:12]
-    return f"{drawing.torso} with {', '.join(joint_names)}, drawing {mark}"

@@ -51,11 +51,6 @@ class CellsUnderFeet:
 
     One is enough for a foot that touches at a point, such as a quadruped's; its force acts there.
 
-    Args:
-        config: The cells.
-        drawing: The robot.
-        dt: Duration of a control step in s.
-
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
         kind: Their kind in the library.
@@ -150,12 +145,7 @@ class CellsUnderFeet:
 
 
 class SensorsInAnkles:
-    """A six-axis sensor in each ankle, read once a control step.
-
-    Args:
-        config: The sensors.
-        drawing: The robot.
-        dt: Duration of a control step in s.
+    """A six-axis sensor in each ankle, read once a control step of ``dt`` s.
 
     Attributes:
         name: Where their state stands in :class:`InstrumentsState`.
@@ -294,13 +284,7 @@ class Instruments:
     def read(
         self, truth: Any, state: InstrumentsState, streams: Mapping[str, Rng], dt: float
     ) -> tuple[Floats, InstrumentsState]:
-        """Read them after a control step.
-
-        Args:
-            truth: The last control step of a source of truth.
-            state: Their state.
-            streams: Where each one's noise comes from, by name.
-            dt: Duration of the step in s.
+        """Read them after a control step of ``dt`` s, each with noise from its own stream, by name.
 
         Returns:
             Counts, shape (K,), and the state.
@@ -413,10 +397,6 @@ def layout_options(layout: FeetLayout, drawing: RobotDrawing) -> dict[str, float
     """Return the options of a calibrator that follow from the instruments under the feet.
 
     A foot whose channels have no places of their own gets a length.
-
-    Args:
-        layout: The feet and their channels.
-        drawing: The robot.
     """
     if all(foot.position_cell_sole is not None for foot in layout.feet):
         return {}

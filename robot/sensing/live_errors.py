@@ -74,9 +74,7 @@ class LiveErrors:
     def read(self, raw: NDArray[np.float64], hardware: Parameters) -> NDArray[np.float64]:
         """Return the host's readings in place of the hardware's, in counts, shape (K,).
 
-        Args:
-            raw: Readings of the hardware in counts, shape (K,); NaN where none arrived.
-            hardware: The map that undoes the hardware's errors.
+        NaN stands where none arrived. The second map undoes the hardware's errors.
         """
         device = self._instruments
         drawn = self._rng.standard_normal(self._walk.shape)

@@ -82,10 +82,7 @@ def _reading_dtype(channels: int, observed: int) -> np.dtype[Any]:
 class NativeSensing:
     """The library for one robot, which holds the state of all that is under its feet.
 
-    Args:
-        python: The Python object where it goes on, which is used up.
-        devices: Its devices as the library has them, and the faults, by their places in ``DEVICES``.
-        telemetry: Its telemetry, if anybody listens.
+    It goes on where a Python object is, which is used up, with devices by their places in ``DEVICES``.
 
     Attributes:
         telemetry_state: The telemetry's state, which goes on in place.
@@ -256,11 +253,8 @@ SensingBackend = PythonSensing | NativeSensing
 class ManySensing:
     """Control steps of many robots in one call of the library.
 
-    Args:
-        robots: The readers of each of them.
-
     Attributes:
-        robots: The same.
+        robots: The readers of each of them.
         raw: Addresses of their readings, shape (N,).
         rows: Addresses of rows of packets, shape (N,).
         packets: How many packets have arrived of each, shape (N,).
@@ -290,11 +284,7 @@ class ManySensing:
     ) -> bool:
         """Read a control step, if it has as many substeps as the last; return whether that was done.
 
-        Args:
-            which: Numbers of the robots that are read.
-            truth: Of all robots, shape (N, S, columns).
-            time: The hosts' clocks at its end in s, of those that are read.
-            threads: As of :func:`~surefoot.native.call_for_many`.
+        Truth is of all robots, shape (N, S, columns); the hosts' clocks at its end in s are of those read.
         """
         if self._shapes != {truth.shape[1:]}:
             return False
@@ -308,11 +298,7 @@ class ManySensing:
 
 
 def native_sensing(python: PythonSensing) -> SensingBackend:
-    """Return a reader that goes on by the library, or as it is where a part of the robot does not fit.
-
-    Args:
-        python: The Python's, which is used up.
-    """
+    """Return a reader that goes on by the library, or as it is where a part of the robot does not fit."""
     fitted, telemetry, view, places = python.fitted, python.telemetry, python.view, python.places
     devices = {name: device for name, device in fitted.native.items() if device is not None}
     if places is None or len(devices) < len(fitted.native):

@@ -36,17 +36,13 @@ class HardwareState(NamedTuple):
 
 
 class PythonSensing:
-    """The specification. It takes a control step of any number of substeps.
-
-    Args:
-        fitted: The instruments under the feet.
-        telemetry: The telemetry; ``None`` where nobody listens.
-        dt: Duration of a control step in s.
-        kept: Where the newest packet's values and the counts that are held lie.
-        view: The view, if an observation is put together.
+    """The specification. It takes a control step of any number of substeps, of ``dt`` s together.
 
     Attributes:
-        fitted: The same, as all of these.
+        fitted: The instruments under the feet.
+        telemetry: The telemetry; ``None`` where nobody listens.
+        kept: Where the newest packet's values and the counts that are held lie.
+        view: The view, if an observation is put together.
         places: Where the library finds loads (:class:`~surefoot.robot.sensing.native.Places`);
             ``None`` if it does not.
         state: The hardware; telemetry's part as it was taken.
@@ -95,11 +91,7 @@ class PythonSensing:
     def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen:
         """Start an episode: read every chip and the link under the first load.
 
-        Args:
-            truth: In which it starts.
-            at_rest: The IMU's input before it, shape (6,).
-            fresh: Whether IMU and encoders are drawn.
-            observation: The environment's observation, where there is a view.
+        Before it the IMU's input was ``at_rest``, shape (6,); IMU and encoders are drawn if they are fresh.
         """
         instruments, (under_feet, *_) = self.fitted.instruments, self.state
         self.state = self.state._replace(instruments=instruments.with_load(truth, under_feet))
@@ -117,13 +109,7 @@ class PythonSensing:
         return self._show(raw, observation)
 
     def step(self, truth: Any, time: float, observation: Any) -> Seen:
-        """Read a control step.
-
-        Args:
-            truth: The control step.
-            time: The host's at its end in s.
-            observation: The environment's observation, where there is a view.
-        """
+        """Read a control step that ends at a time of the host in s."""
         raw = self._read(truth, self.dt)
         if self.telemetry is not None:
             self.arrived, self.telemetry_state = self.telemetry.advance(

@@ -55,12 +55,10 @@ class RawView:
     def show(
         self, observation: Any, counts: NDArray[np.float32], newest: NDArray[np.float64]
     ) -> dict[str, Any]:
-        """Show one step; the environment's arrays are not changed.
+        """Show one step of one robot or of all; the environment's arrays are not changed.
 
-        Args:
-            observation: The environment's observation, of all robots at once.
-            counts: The last reading of each channel that has arrived, shape (..., K).
-            newest: Values of the newest packet, shape (..., C).
+        Counts are the last ones that have arrived, shape (..., K); ``newest`` are the values of the newest
+        packet, shape (..., C).
         """
         state = None
         if self.measures:
@@ -73,13 +71,7 @@ class RawView:
         return self.compose(observation, counts.copy(), state)
 
     def compose(self, observation: Any, counts: NDArray[np.float32], state: Any) -> dict[str, Any]:
-        """Put together the observation.
-
-        Args:
-            observation: The environment's observation.
-            counts: The readings to show.
-            state: The state to show; ``None`` for the environment's own.
-        """
+        """Put together the observation, with readings, and a state in place of the environment's if given."""
         if not self._was_dict:
             return {"state": own_copy(observation), "foot_raw": counts}
         if state is not None and self._alone:

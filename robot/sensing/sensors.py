@@ -96,12 +96,8 @@ class RobotSensors(OfOneVersion):
     def step(self, truth: Any, observation: Any = None) -> dict[str, Any]:
         """Read a control step.
 
-        Args:
-            truth: The step.
-            observation: The environment's observation, where there is a view.
-
         Returns:
-            The observation; empty without a view.
+            The observation, where there is a view of the environment's; else empty.
         """
         self.clock += self.telemetry.dt
         self._raw, seen = self.backend.step(truth, self.time, observation)
@@ -217,9 +213,7 @@ class RobotSensors(OfOneVersion):
     def _choose(self, truth: Any, hardware: HardwareState | None) -> HardwareState | None:
         """Choose who reads an episode, the one before if nothing is different; return what it has taken.
 
-        Args:
-            truth: In which it starts.
-            hardware: The hardware to begin with; ``None`` for that of the episode before.
+        Without hardware it begins with that of the episode before.
         """
         telemetry = self._telemetry if self.listening else None
         chosen_for = self._fitted, telemetry, truth.rows.shape[1]
