@@ -3,6 +3,7 @@
 Wrappers of one robot and of many are made of it.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any, Final, NamedTuple
@@ -377,29 +378,55 @@ class RobotCalibration(OfOneVersion):
         return start.off(self._sensors.true_parameters(), drawn)
 
 
-def save_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -> None:
-    """Write the calibration of robots, and the masses that it rests on, to an ``.npz`` without pickles.
+class CalibrationFace(ABC):
+    """The common part of wrappers that calibrate, one robot or many."""
 
-    Raises:
-        RuntimeError: If they have not been reset.
-    """
-    save_state(path, _side_by_side(robots), robots[0].limits(), **robots[0].notes())
+    @property
+    @abstractmethod
+    def _robots(self) -> Sequence[RobotCalibration]: ...
 
+    def _gather(self) -> None:  # noqa: B027
+        """Note that robots have other records; nothing to do for one."""
 
-def load_learnt(path: str | PathLike[str], robots: Sequence[RobotCalibration]) -> None:
-    """Go on with a file of :func:`save_learnt` of as many robots.
+    @property
+    def frozen(self) -> bool:
+        """Whether nothing is learnt for now."""
+        return self._robots[0].frozen
 
-    Raises:
-        RuntimeError: If they have not been reset.
-        ValueError: If the file is of another robot, other sensors, another method or another lag.
-    """
-    like = _side_by_side(robots)
-    found = load_state(path, like, robots[0].limits(), **robots[0].notes())
-    for robot, learnt in zip(robots, (found,) if isinstance(like, Learnt) else found, strict=True):
-        robot.take_over(learnt)
+    def freeze(self, frozen: bool = True) -> None:
+        """Learn nothing from now on, or learn again: readings are corrected by the calibration so far.
 
+        Samples that were measured by now still count, so that estimates may move for another fraction of a
+        second.
+        """
+        check_flag("frozen", frozen)
+        for robot in self._robots:
+            robot.frozen = frozen
 
-def _side_by_side(robots: Sequence[RobotCalibration]) -> Any:
-    """Return the memory of one robot as it is, and of many side by side."""
-    found = tuple(robot.learnt() for robot in robots)
-    return found[0] if len(found) == 1 else found
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the calibration, and the masses that it rests on, to an ``.npz`` without pickles.
+
+        Raises:
+            RuntimeError: If the environment has not been reset.
+        """
+        first = self._robots[0]
+        save_state(path, self._learnt(), first.limits(), **first.notes())
+
+    def load(self, path: str | PathLike[str]) -> None:
+        """Go on with the calibration of a file of :meth:`save`; a reset without a seed keeps it.
+
+        Raises:
+            RuntimeError: If the environment has not been reset.
+            ValueError: If the file is of other or of more robots, other sensors, another method or another
+                lag.
+        """
+        like, first = self._learnt(), self._robots[0]
+        found = load_state(path, like, first.limits(), **first.notes())
+        for robot, learnt in zip(self._robots, (found,) if isinstance(like, Learnt) else found, strict=True):
+            robot.take_over(learnt)
+        self._gather()
+
+    def _learnt(self) -> Any:
+        """Return the memory of one robot as it is, and of many side by side."""
+        found = tuple(robot.learnt() for robot in self._robots)
+        return found[0] if len(found) == 1 else found

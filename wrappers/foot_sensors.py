@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
-from os import PathLike
 from typing import Any, SupportsFloat, Unpack
 
 import gymnasium as gym
@@ -16,7 +15,7 @@ from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import RawView
-from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
+from surefoot.robot.sensing.sensors import RobotSensors, SensorsFace
 from surefoot.sensors.telemetry.computer import Telemetry
 from surefoot.sensors.transport.link import Packets
 from surefoot.wrappers.source import (
@@ -30,7 +29,9 @@ from surefoot.wrappers.source import (
 )
 
 
-class FootSensors(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+class FootSensors(
+    OfOneVersion, SensorsFace, gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
+):
     """Read an environment through load cells or ankle sensors, joint encoders and an IMU.
 
     Any environment built on MuJoCo will do: one that does not record its truth is instrumented first, in
@@ -210,24 +211,9 @@ class FootSensors(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.Recor
         scale, offset = self.robot.true_parameters()
         return scale, offset
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the hardware's lasting state, its scales and offsets, to an ``.npz``.
-
-        Raises:
-            RuntimeError: If nothing was drawn yet.
-        """
-        save_hardware(path, [self.robot])
-
-    def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the hardware of a file that :meth:`save` wrote, or of a map of known weights.
-
-        A ``.json`` of ``surefoot calibrate weights`` gives load cells the errors that its map undoes.
-
-        Raises:
-            RuntimeError: If the environment has not been reset.
-            ValueError: If the file is of another robot, or of other sensors, or its map has curves.
-        """
-        load_hardware(path, [self.robot])
+    @property
+    def _robots(self) -> Sequence[RobotSensors]:
+        return [self.robot]
 
     def _with_drawn(self, info: dict[str, Any]) -> dict[str, Any]:
         """Put the condition that was drawn to the truth."""

@@ -1,26 +1,26 @@
 """Self-calibration of a robot while it walks, with its knowledge of itself."""
 
 from collections.abc import Mapping, Sequence
-from os import PathLike
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
 from gymnasium import spaces
 
 from surefoot.calibration import FootCalibrator, Parameters
-from surefoot.calibration.checks import check_flag
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.online import MethodOptions
 from surefoot.pickles import OfOneVersion
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
-from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
+from surefoot.robot.calibration import CalibrationFace, CalibrationSetup, RobotCalibration
 from surefoot.robot.foot_view import RAW, drop_counts
 from surefoot.robot.streams import BELIEF_STREAM
 from surefoot.wrappers.foot_sensors import FootSensors
 from surefoot.wrappers.source import check_clock, find_sensors, split_options
 
 
-class SelfCalibration(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+class SelfCalibration(
+    OfOneVersion, CalibrationFace, gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
+):
     """Calibrate the readings of :class:`FootSensors` while the robot moves, and observe the result.
 
     The observation gains, from the counts alone, the parts that ``show`` names, and loses ``"foot_raw"``
@@ -183,35 +183,8 @@ class SelfCalibration(OfOneVersion, gym.Wrapper[Any, Any, Any, Any], gym.utils.R
         return self.robot.reference_time
 
     @property
-    def frozen(self) -> bool:
-        """Whether nothing is learnt for now."""
-        return self.robot.frozen
-
-    def freeze(self, frozen: bool = True) -> None:
-        """Learn nothing from now on, or learn again: readings are corrected by the calibration so far.
-
-        Samples that were measured by now still count, so that estimates may move for another fraction of a
-        second.
-        """
-        check_flag("frozen", frozen)
-        self.robot.frozen = frozen
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the calibration, and the masses that it rests on, to an ``.npz`` without pickles.
-
-        Raises:
-            RuntimeError: If the environment has not been reset.
-        """
-        save_learnt(path, [self.robot])
-
-    def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the calibration of a file of :meth:`save`; a reset without a seed keeps it.
-
-        Raises:
-            RuntimeError: If the environment has not been reset.
-            ValueError: If the file is of another robot, other sensors, another method or another lag.
-        """
-        load_learnt(path, [self.robot])
+    def _robots(self) -> Sequence[RobotCalibration]:
+        return [self.robot]
 
     def _calibrate(self, observation: dict[str, Any], info: dict[str, Any]) -> dict[str, Any]:
         """Take in the packets that have arrived and one sample."""

@@ -67,11 +67,8 @@ def find_source(env: gym.Env[Any, Any]) -> Source | None:
 def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -> Sensors:
     """Find the sensors whose counts a wrapper calibrates, among the wrappers below it.
 
-    Args:
-        env: The environment to wrap.
-        owner: The class of the wrapper that calibrates, of which one is enough.
-        sensors: The class of the wrapper that has the sensors.
-        wrapper: The base class of all wrappers.
+    Given are the classes of the wrapper that calibrates, of which one is enough, of that which has the
+    sensors, and of all wrappers.
 
     Raises:
         TypeError: If there are none, or are calibrated already.
@@ -95,9 +92,7 @@ def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -
 def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
     """Return an environment that records its truth: one that does not gets sensors in its model.
 
-    Args:
-        env: An environment built on MuJoCo.
-        **options: Of :class:`~surefoot.envs.InstrumentedEnv`; refused where truth is recorded already.
+    Options of :class:`~surefoot.envs.InstrumentedEnv` are refused where truth is recorded already.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo.
@@ -139,11 +134,6 @@ def check_order(owner: str, env: gym.Env[Any, Any], source: Any) -> None:
 
     Only an environment with a ``state_layout`` shows truth that can be taken out; of others the whole
     observation is handed on, whatever was made of it.
-
-    Args:
-        owner: The wrapper that takes it out, for messages.
-        env: The environment that it goes around.
-        source: The environment.
     """
     below: Any = env
     while below is not source and getattr(source, "state_layout", None) is not None:
@@ -165,17 +155,8 @@ def _state(env: gym.Env[Any, Any]) -> spaces.Space[Any] | None:
 def check_clock(owner: str, env: Any, passed: float, dt: float, source: Any = None) -> bool:
     """Raise RuntimeError if a step did not last the environment's dt: all rates would be wrong.
 
-    A simulation that blew up is another matter: MuJoCo puts it back to its start by itself, and goes on.
-
-    Args:
-        owner: The wrapper that reads one sample a step, for messages.
-        env: The environment that it goes around.
-        passed: By how much simulated time went on in s.
-        dt: Duration of a step in s.
-        source: The simulation of the robot.
-
-    Returns:
-        Whether the simulation blew up.
+    Whether a simulation, ``source``, blew up is another matter, which is returned: MuJoCo puts it back to its
+    start by itself, and goes on. Simulated time has ``passed`` in s.
     """
     late = not abs(passed - dt) <= CLOCK_TOLERANCE * dt
     if late and source is not None and any(source.data.warning[kind].number for kind in _BLOWN_UP):
@@ -192,14 +173,9 @@ def check_clock(owner: str, env: Any, passed: float, dt: float, source: Any = No
 def split_options(
     options: dict[str, Any] | None, *kinds: str
 ) -> tuple[dict[str, Any] | None, Mapping[str, str]]:
-    """Split a reset's options into the environment's and the wrappers'.
+    """Split a reset's options into the environment's and the wrappers', ``"fresh"`` or ``"keep"`` by kind.
 
-    Args:
-        options: Of the reset; it is not changed.
-        *kinds: The choices: ``"sensors"``, ``"calibration"``.
-
-    Returns:
-        The environment's options, and ``"fresh"`` or ``"keep"`` by kind.
+    Kinds of choices are ``"sensors"`` and ``"calibration"``. Options are not changed.
 
     Raises:
         TypeError: If they are no mapping.

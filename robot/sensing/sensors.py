@@ -3,6 +3,7 @@
 Wrappers of one robot and of many are made of it, so that a seed gives a robot the same sensors anywhere.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any
@@ -251,34 +252,44 @@ class RobotSensors(OfOneVersion):
         return HardwareState(instruments.init(streams), faults, None)
 
 
-def save_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:
-    """Write the hardware's lasting state of robots to an ``.npz``.
+class SensorsFace(ABC):
+    """The common part of wrappers of sensors, of one robot or of many."""
 
-    Raises:
-        RuntimeError: If nothing was drawn yet.
-    """
-    save_state(path, _together(robots), _EMPTY, **robots[0].notes())
+    @property
+    @abstractmethod
+    def _robots(self) -> Sequence[RobotSensors]: ...
 
+    def _gather(self) -> None:  # noqa: B027
+        """Note that robots have other records; nothing to do for one."""
 
-def load_hardware(path: str | PathLike[str], robots: Sequence[RobotSensors]) -> None:
-    """Go on with the hardware of a file that :func:`save_hardware` wrote for as many robots.
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the hardware's lasting state, its scales and offsets, to an ``.npz``.
 
-    Or with load cells that the map of a ``.json`` undoes, which ``surefoot calibrate weights`` wrote.
+        Raises:
+            RuntimeError: If nothing was drawn yet.
+        """
+        save_state(path, self._hardware(), _EMPTY, **self._robots[0].notes())
 
-    Raises:
-        RuntimeError: If nothing was drawn yet.
-        ValueError: If the file is of another robot, or of other sensors, or its map has curves.
-    """
-    if is_file_of_map(path):
-        for robot in robots:
-            robot.take_map(path)
-        return
-    found = load_state(path, _together(robots), _EMPTY, **robots[0].notes())
-    for robot, hardware in zip(robots, (found,) if len(robots) == 1 else found, strict=True):
-        robot.exchange(hardware)
+    def load(self, path: str | PathLike[str]) -> None:
+        """Go on with the hardware of a file that :meth:`save` wrote of as many robots, or of a map for all.
 
+        A ``.json`` of ``surefoot calibrate weights`` gives load cells the errors that its map undoes.
 
-def _together(robots: Sequence[RobotSensors]) -> Any:
-    """Return the hardware of one robot as it is, and of many side by side."""
-    found = tuple(robot.hardware() for robot in robots)
-    return found[0] if len(found) == 1 else found
+        Raises:
+            RuntimeError: If the environment has not been reset.
+            ValueError: If the file is of other or of more robots, or of other sensors, or its map has curves.
+        """
+        robots = self._robots
+        if is_file_of_map(path):
+            for robot in robots:
+                robot.take_map(path)
+        else:
+            found = load_state(path, self._hardware(), _EMPTY, **robots[0].notes())
+            for robot, hardware in zip(robots, (found,) if len(robots) == 1 else found, strict=True):
+                robot.exchange(hardware)
+        self._gather()
+
+    def _hardware(self) -> Any:
+        """Return the hardware of one robot as it is, and of many side by side."""
+        found = tuple(robot.hardware() for robot in self._robots)
+        return found[0] if len(found) == 1 else found

@@ -23,15 +23,7 @@ Counter = Callable[[], int]
 
 
 def mask_of(env_ids: RobotIds, num_envs: int, device: torch.device) -> Tensor:
-    """Mark robots.
-
-    Args:
-        env_ids: Who is meant.
-        num_envs: Number N of robots.
-        device: Where the mask is to be.
-
-    Returns:
-        True for those who are meant, shape (N,).
+    """Mark which of N robots are meant, shape (N,), on a device.
 
     Raises:
         TypeError: If numbers are not whole.
@@ -221,12 +213,7 @@ class BatchModule(nn.Module, ABC):
 
 
 def views(records: Tensor, layout: np.dtype[Any]) -> dict[str, Tensor]:
-    """Return the fields of records of N robots, which share their memory, by name, shape (N, ...).
-
-    Args:
-        records: The records in bytes, shape (N, size).
-        layout: Columns of one.
-    """
+    """Return the fields of N robots' records by name, which share their memory, bytes of shape (N, size)."""
     found = {}
     for name, (field, offset, *_) in (layout.fields or {}).items():
         kind, shape = field.subdtype or (field, ())

@@ -394,17 +394,11 @@ class FootSensorsModule(BatchModule):
     def _draw(
         self, robots: Sequence[int], before: list[float], streams: Sequence[tuple[Stream, ...]], fresh: bool
     ) -> tuple[Tensor, ...]:
-        """Draw conditions and sensors of some robots, each from its own three streams.
+        """Draw conditions and sensors of some robots, by their numbers.
 
-        Args:
-            robots: Their numbers.
-            before: Their severities until now.
-            streams: Those of the instrument, of faults and of the condition.
-            fresh: Whether sensors are fresh.
-
-        Returns:
-            Sensors, faults, streams, the constants of both and severities; no sensors and no constants of
-            theirs if they are not fresh.
+        Each draws from its own streams of the instrument, of faults and of the condition, and had a severity
+        ``before``. Return sensors, faults, streams, the constants of both and severities; no sensors and no
+        constants of theirs if they are not fresh.
         """
         found: list[list[Any]] = [[] for _ in range(6)]
         usual, same = self._usual
@@ -433,12 +427,7 @@ AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 def conditions_of(severity: Severity, faults: Faults, config: FootDevice) -> Conditions:
-    """Return how bad the feet of robots may be.
-
-    Raises:
-        TypeError: If severity or faults are of another type.
-        ValueError: If one is refused.
-    """
+    """Return how bad the feet of robots may be; refuse what has no meaning."""
     cells = CELL_NAMES if isinstance(config, LoadCells) else AXES
     feet = config.channels // len(cells)
     names = FEET[:feet] if feet <= len(FEET) else [str(number) for number in range(1, feet + 1)]

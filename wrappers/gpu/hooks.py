@@ -50,26 +50,18 @@ def modifier_class(feet: Feet, base: type = object, *, unit: str = "N", fresh: b
     Raises:
         ValueError: If the unit is none; when built, if the observation is of other robots or channels.
     """
-    _check_unit(unit)
 
-    class FootSensorsModifier(base):  # type: ignore[misc]
+    class FootSensorsModifier(_sensing_class(base, unit, fresh)):  # type: ignore[misc]
         """Sensors between true forces and who observes them."""
 
         def __init__(self, cfg: Any, data_dim: tuple[int, ...], device: str) -> None:
-            if base is not object:
-                super().__init__(cfg, data_dim, device)
+            super().__init__(cfg, data_dim, device)
             self.feet = _make_feet(feet, data_dim[0], device)
             if tuple(data_dim) != (self.feet.num_envs, self.feet.channels):
                 raise ValueError(
                     f"The sensors read forces of shape {(self.feet.num_envs, self.feet.channels)}, but the "
                     f"observation has {tuple(data_dim)}; modify the term that holds the true forces."
                 )
-
-        def reset(self, env_ids: RobotIds = None) -> None:
-            self.feet.reset(env_ids, fresh)
-
-        def __call__(self, data: Tensor) -> Tensor:
-            return _read(self.feet, data, unit)
 
     return FootSensorsModifier
 
@@ -90,21 +82,13 @@ def noise_model_class(feet: Feet, base: type = object, *, unit: str = "N", fresh
     Raises:
         ValueError: If the unit is none; when built, if the sensors are of another number of robots.
     """
-    _check_unit(unit)
 
-    class FootSensorsNoiseModel(base):  # type: ignore[misc]
+    class FootSensorsNoiseModel(_sensing_class(base, unit, fresh)):  # type: ignore[misc]
         """Sensors between true forces and who observes them."""
 
         def __init__(self, noise_model_cfg: Any, num_envs: int, device: str) -> None:
-            if base is not object:
-                super().__init__(noise_model_cfg, num_envs, device)
+            super().__init__(noise_model_cfg, num_envs, device)
             self.feet = _make_feet(feet, num_envs, device)
-
-        def reset(self, env_ids: RobotIds = None) -> None:
-            self.feet.reset(env_ids, fresh)
-
-        def __call__(self, data: Tensor) -> Tensor:
-            return _read(self.feet, data, unit)
 
     return FootSensorsNoiseModel
 
@@ -165,11 +149,23 @@ def _check_robots(module: BatchModule, num_envs: int) -> None:
         )
 
 
-def _check_unit(unit: str) -> None:
+def _sensing_class(base: type, unit: str, fresh: bool) -> Any:
+    """Make the common part of modifiers and noise models: it reads forces in a unit."""
     if unit not in UNITS:
         raise ValueError(f"'unit' must be one of {UNITS}, got {unit!r}.")
 
+    class Sensing(base):  # type: ignore[misc]
+        feet: FootSensorsModule
 
-def _read(feet: FootSensorsModule, data: Tensor, unit: str) -> Tensor:
-    counts = feet(data)
-    return counts if unit == "count" else feet.newtons(counts)
+        def __init__(self, *given: Any) -> None:
+            if base is not object:
+                super().__init__(*given)
+
+        def reset(self, env_ids: RobotIds = None) -> None:
+            self.feet.reset(env_ids, fresh)
+
+        def __call__(self, data: Tensor) -> Tensor:
+            counts = self.feet(data)
+            return counts if unit == "count" else self.feet.newtons(counts)
+
+    return Sensing

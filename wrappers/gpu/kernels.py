@@ -82,19 +82,10 @@ class Kernel:
     ) -> None:  # fmt: skip
         """Run it for all robots on the stream that torch uses.
 
-        Nothing is copied, and nobody waits for the end on a GPU, so that it may be captured in a graph.
-
-        Args:
-            robots: How many.
-            arrays: Up to nine contiguous tensors on one device, a row a robot, or one for all. In C they are
-                ``config``, ``state``, ``own``, ``given``, ``more``, ``found``, ``marks``, ``other`` and
-                ``rest``.
-            what: The first whole number, as are the next two.
-            rows: The second.
-            count: The third.
-            dt: The first time in s.
-            span: The second.
-            workers: How many threads share the robots; by default each has its own.
+        Nothing is copied, and nobody waits for the end on a GPU, so that it may be captured in a graph. Given
+        are up to nine contiguous tensors on one device, a row a robot, or one for all, which in C are
+        ``config``, ``state``, ``own``, ``given``, ``more``, ``found``, ``marks``, ``other`` and ``rest``;
+        three whole numbers and two times in s; and how many threads share the robots, by default as many.
         """
         device = arrays[0].device
         shared = [wp.from_torch(array.view(torch.uint8).reshape(len(array), -1)) for array in arrays]

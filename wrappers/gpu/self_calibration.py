@@ -383,11 +383,6 @@ class SelfCalibrationModule(BatchModule):
 class _Straightener:
     """Curves of channels on a device, as :class:`~surefoot.calibration.weights.curves.Curves` has them.
 
-    Args:
-        curves: The curves, if there are any.
-        channels: Number of channels.
-        device: Where readings are.
-
     Attributes:
         said: The curves in words; empty for none.
 

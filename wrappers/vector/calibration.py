@@ -1,15 +1,13 @@
 """Calibrates the feet of N robots, each as it would be alone, whatever gathers the robots."""
 
 from collections.abc import Mapping, Sequence
-from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.checks import check_flag
 from surefoot.calibration.online import MethodOptions
-from surefoot.robot.calibration import CalibrationSetup, RobotCalibration, load_learnt, save_learnt
+from surefoot.robot.calibration import CalibrationFace, CalibrationSetup, RobotCalibration
 from surefoot.robot.foot_view import drop_counts
 from surefoot.robot.native import ManySamples, NativeSample
 from surefoot.wrappers.vector.sensors import BatchSensors
@@ -20,13 +18,8 @@ Mask = NDArray[np.bool_]
 class BatchCalibration:
     """Calibrates the readings of :class:`BatchSensors`, and makes the observations of the feet.
 
-    Each robot has a calibrator of its own.
-
-    Args:
-        owner: The wrapper that asks, for messages.
-        sensors: The robots' sensors.
-        method: As of :class:`~surefoot.wrappers.SelfCalibration`.
-        options: All others of it, and options of the method.
+    Each robot has a calibrator of its own. Options are those of :class:`~surefoot.wrappers.SelfCalibration`;
+    the owner is the wrapper that asks, for messages.
 
     Attributes:
         robots: The beliefs of each robot, and its calibrator.
@@ -76,11 +69,6 @@ class BatchCalibration:
         """Return one robot's observation before its last episode started, as arrays of its own."""
         return {name: part[robot].copy() for name, part in self.ended.items()}
 
-    @property
-    def frozen(self) -> bool:
-        """Whether nothing is learnt for now."""
-        return self.robots[0].frozen
-
     def _begin(self, which: list[int], seeds: Sequence[int | None], choice: str | None) -> None:
         """Start episodes of robots; of those that have learnt nothing for long the first one is told."""
         for i in which:
@@ -97,7 +85,7 @@ class BatchCalibration:
         if readers and natives and (len(which) == count or natives.sampled.all()):
             now, plans = sensors.time[which], None if sensors.plans is None else sensors.plans[which]
             then = self.robots[0].reference_time_at(now)
-            natives.feed(which, readers, plans, then, now, self.frozen, sensors.threads)
+            natives.feed(which, readers, plans, then, now, self.robots[0].frozen, sensors.threads)
             self.shown, self.told = natives.outputs()
         else:
             each = which.tolist()
@@ -114,7 +102,7 @@ class BatchCalibration:
         return self._together
 
 
-class CalibrationFace:
+class BatchCalibrationFace(CalibrationFace):
     """The common part of wrappers of :class:`BatchCalibration`.
 
     Attributes:
@@ -124,32 +112,10 @@ class CalibrationFace:
     calibration: BatchCalibration
 
     @property
-    def frozen(self) -> bool:
-        """Whether nothing is learnt for now."""
-        return self.calibration.frozen
+    def _robots(self) -> Sequence[RobotCalibration]:
+        return self.calibration.robots
 
-    def freeze(self, frozen: bool = True) -> None:
-        """Learn nothing from now on, or learn again, as :meth:`SelfCalibration.freeze` does."""
-        check_flag("frozen", frozen)
-        for robot in self.calibration.robots:
-            robot.frozen = frozen
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the calibration, and the masses that it rests on, to an ``.npz`` without pickles.
-
-        Raises:
-            RuntimeError: If the environments have not been reset.
-        """
-        save_learnt(path, self.calibration.robots)
-
-    def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the calibration of a file of :meth:`save`; a reset without a seed keeps it.
-
-        Raises:
-            RuntimeError: If the environments have not been reset.
-            ValueError: If the file is of other or of more robots, other sensors, another method or lag.
-        """
-        load_learnt(path, self.calibration.robots)
+    def _gather(self) -> None:
         self.calibration._gather()
 
 

@@ -14,13 +14,13 @@ from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
 from surefoot.wrappers.source import split_options
-from surefoot.wrappers.vector.sensors import BatchSensors, SensorsFace, merge_rows
+from surefoot.wrappers.vector.sensors import BatchSensors, BatchSensorsFace, merge_rows
 from surefoot.wrappers.vector.truth_row import AnyVectorWrapper, VectorTruthRow
 
 Infos = dict[str, Any]
 
 
-class VectorFootSensors(OfOneVersion, SensorsFace, AnyVectorWrapper):
+class VectorFootSensors(OfOneVersion, BatchSensorsFace, AnyVectorWrapper):
     """Read many robots through load cells or ankle sensors, joint encoders and IMUs.
 
     It goes right around a vector environment whose copies have :class:`~surefoot.wrappers.TruthRow` around

@@ -18,8 +18,8 @@ from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
 from surefoot.wrappers.source import OPTIONS, split_options
-from surefoot.wrappers.vector.calibration import BatchCalibration, CalibrationFace
-from surefoot.wrappers.vector.sensors import BatchSensors, SensorsFace, merge_rows
+from surefoot.wrappers.vector.calibration import BatchCalibration, BatchCalibrationFace
+from surefoot.wrappers.vector.sensors import BatchSensors, BatchSensorsFace, merge_rows
 
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -27,7 +27,7 @@ except ModuleNotFoundError as missing:
     raise not_installed("surefoot.wrappers.vector.sb3", missing, "rl") from None
 
 
-class VecFootSensors(SensorsFace, VecEnvWrapper):
+class VecFootSensors(BatchSensorsFace, VecEnvWrapper):
     """Read the robots of an SB3 ``VecEnv`` as :class:`VectorFootSensors` reads those of Gymnasium's.
 
     Each copy needs a :class:`~surefoot.wrappers.vector.truth_row.TruthRow` around it.
@@ -120,7 +120,7 @@ class VecFootSensors(SensorsFace, VecEnvWrapper):
         return self.sensors.truth
 
 
-class VecSelfCalibration(CalibrationFace, VecEnvWrapper):
+class VecSelfCalibration(BatchCalibrationFace, VecEnvWrapper):
     """Calibrate the readings of :class:`VecFootSensors` while the robots move, and observe the result.
 
     Args:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from surefoot.calibration.online import MethodOptions
 from surefoot.pickles import OfOneVersion
 from surefoot.wrappers.source import find_sensors
-from surefoot.wrappers.vector.calibration import BatchCalibration, CalibrationFace
+from surefoot.wrappers.vector.calibration import BatchCalibration, BatchCalibrationFace
 from surefoot.wrappers.vector.foot_sensors import Infos, VectorFootSensors
 from surefoot.wrappers.vector.truth_row import AnyVectorWrapper
 
 
-class VectorSelfCalibration(OfOneVersion, CalibrationFace, AnyVectorWrapper):
+class VectorSelfCalibration(OfOneVersion, BatchCalibrationFace, AnyVectorWrapper):
     """Calibrate the readings of :class:`VectorFootSensors` while the robots move, and observe the result.
 
     The observation loses ``"foot_raw"`` and gains the parts that ``show`` names, ``infos["surefoot"]`` gains

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from os import PathLike
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -20,7 +19,7 @@ from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.native import ManySensing, NativeSensing
 from surefoot.robot.sensing.raw_view import TRUTH_KEY, RawView
-from surefoot.robot.sensing.sensors import RobotSensors, load_hardware, save_hardware
+from surefoot.robot.sensing.sensors import RobotSensors, SensorsFace
 from surefoot.wrappers.vector.truth_row import NO_PLAN, Lent, RowMeaning
 
 Floats = NDArray[np.float64]
@@ -41,12 +40,7 @@ _CHANGED = (
 
 
 class Planned(NamedTuple):
-    """A robot's plan for its feet, as :class:`~surefoot.envs.Command` has it.
-
-    Attributes:
-        stance: Feet planned to stand, shape (F,).
-        swing: Feet planned to swing, shape (F,).
-    """
+    """A robot's feet planned to stand and to swing, (F,) each, as :class:`~surefoot.envs.Command` has."""
 
     stance: Mask
     swing: Mask
@@ -65,13 +59,8 @@ class Listener(Protocol):
 class BatchSensors(OfOneVersion):
     """Feels N robots through load cells or ankle sensors, joint encoders and IMUs.
 
-    Args:
-        owner: The wrapper that asks, for messages.
-        count: Number of robots N.
-        space: Observation space of one copy.
-        attribute: Asks each copy for an attribute.
-        given: The sensors that the user put on each.
-        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
+    The owner is the wrapper that asks, for messages; ``space`` is the observation space of one copy, and
+    ``given`` the sensors that the user put on each.
 
     Attributes:
         drawing: The robot.
@@ -128,13 +117,9 @@ class BatchSensors(OfOneVersion):
             robot.listening = True
 
     def reset(self, rows: Rows, mask: Mask | None, seed: Seeds, asked: Mapping[str, str]) -> None:
-        """Read robots that were reset.
+        """Read robots that were reset, those of a mask, shape (N,), or all, with rows of truth, shape (N, R).
 
-        Args:
-            rows: One row of truth a robot, shape (N, R).
-            mask: Robots that were reset, shape (N,); ``None`` for all.
-            seed: The seeds of the reset.
-            asked: ``"fresh"`` or ``"keep"`` by kind, if it was asked for.
+        ``asked`` is ``"fresh"`` or ``"keep"`` by kind, if it was asked for.
         """
         count = len(self.robots)
         mask = np.ones(count, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
@@ -146,12 +131,9 @@ class BatchSensors(OfOneVersion):
         self.begin(rows, mask, each, asked)
 
     def step(self, rows: Rows, starting: Mask | None = None, fell: Mask | None = None) -> None:
-        """Read all robots after a control step.
+        """Read all robots after a control step, with one row of truth each, shape (N, R).
 
-        Args:
-            rows: One row of truth a robot, shape (N, R).
-            starting: Robots that were reset instead of stepped, shape (N,), or ``None``.
-            fell: Robots whose episode was terminated, shape (N,), or ``None``.
+        Some were reset instead of stepped, and of some the episode was terminated, shape (N,) each.
         """
         substeps, dt = self._look(rows), self._meaning.dt
         begins = np.zeros(len(substeps), dtype=bool) if starting is None else np.asarray(starting)
@@ -176,13 +158,9 @@ class BatchSensors(OfOneVersion):
         seeds: Sequence[int | None] | None = None,
         asked: Mapping[str, str] | None = None,
     ) -> None:
-        """Read robots that start an episode; within a step, after :meth:`step`.
+        """Read robots of a mask that start an episode; within a step, after :meth:`step`.
 
-        Args:
-            rows: One row of truth a robot, shape (N, R); those of ``mask`` are of the new episode.
-            mask: These robots, shape (N,).
-            seeds: The seed of each.
-            asked: As of :meth:`reset`.
+        Arguments are those of :meth:`reset`; rows of these robots are of the new episode.
         """
         substeps, asked = self._look(rows), asked or {}
         if not isinstance(rows, Lent) and not np.isin(rows[:, -2 * self._meaning.feet :], _PLANNED).all():
@@ -236,14 +214,9 @@ class BatchSensors(OfOneVersion):
         self._drawn = {name: np.array([one[name] for one in drawn]) for name in drawn[0]}
 
     def _read_together(self, truth: Floats, steps: Mask) -> Mask:
-        """Let the library read a control step of all robots for whom it can, in one call.
+        """Let the library read a control step of all robots that made one and for whom it can, in one call.
 
-        Args:
-            truth: The simulator's readings in each substep, shape (N, S, columns).
-            steps: Robots that have made a step, shape (N,).
-
-        Returns:
-            Robots that are left to read, shape (N,).
+        Truth is the simulator's readings in each substep, shape (N, S, columns). Return who is left to read.
         """
         together, left = self.together, np.ones(len(steps), dtype=bool)
         if together is not None and len(steps) > 1:
@@ -288,7 +261,7 @@ class BatchSensors(OfOneVersion):
         return Planned(*np.split(self.plans[robot], 2))
 
 
-class SensorsFace:
+class BatchSensorsFace(SensorsFace):
     """The common part of wrappers of :class:`BatchSensors`.
 
     Attributes:
@@ -337,32 +310,16 @@ class SensorsFace:
         maps = [robot.true_parameters() for robot in self.sensors.robots]
         return Parameters(*map(np.array, zip(*maps, strict=True)))
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the lasting state of all robots' hardware, as :meth:`FootSensors.save` does of one.
+    @property
+    def _robots(self) -> Sequence[RobotSensors]:
+        return self.sensors.robots
 
-        Raises:
-            RuntimeError: If nothing was drawn yet.
-        """
-        save_hardware(path, self.sensors.robots)
-
-    def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the hardware of a file that :meth:`save` wrote, of as many robots, or all of one map.
-
-        Raises:
-            RuntimeError: If nothing was drawn yet.
-            ValueError: If the file is of other or of more robots, or of other sensors.
-        """
-        load_hardware(path, self.sensors.robots)
+    def _gather(self) -> None:
         self.sensors._gather()
 
 
 def merge_rows(rows: Any, finals: Mapping[int, Mapping[str, Any]]) -> Any:
-    """Put the rows of robots' last moments in the place of those of their first.
-
-    Args:
-        rows: One row of truth a robot, shape (N, R), or what they hold; it is not changed.
-        finals: The last observation of some robots' episodes, by their numbers.
-    """
+    """Return a copy with rows of some robots' last moments, by their numbers, in place of their first."""
     if not finals:
         return rows
     if isinstance(rows, Lent):
@@ -377,15 +334,7 @@ def merge_rows(rows: Any, finals: Mapping[int, Mapping[str, Any]]) -> Any:
 
 
 def _check_copies(owner: str, space: Any, attribute: Attribute) -> tuple[RobotDrawing, RowMeaning]:
-    """Return the robot of all copies, which must be the same and show its truth.
-
-    Args:
-        owner: Who asks, for messages.
-        space: Observation space of one copy.
-        attribute: Asks each copy for an attribute.
-
-    Returns:
-        The robot, and the meaning of its rows.
+    """Return the robot of all copies, which must be the same and show its truth, and the meaning of its rows.
 
     Raises:
         TypeError: If copies have no row of truth.
@@ -408,21 +357,17 @@ def _check_copies(owner: str, space: Any, attribute: Attribute) -> tuple[RobotDr
     drawings, meanings = attribute("drawing"), attribute("row_meaning")
     if space[TRUTH_KEY].shape != (meanings[0].size,):
         raise TypeError(_CHANGED.format(owner=owner))
+    first, meaning = drawings[0], meanings[0]
     odd = [
         i
         for i, own in enumerate(drawings)
-        if own.xml != drawings[0].xml or not _same_cells(own, drawings[0]) or meanings[i] != meanings[0]
+        if own.xml != first.xml
+        or not np.array_equal(own.position_cell_sole, first.position_cell_sole)
+        or meanings[i] != meaning
     ]
     if odd:
         raise ValueError(
             f"{owner} needs copies of one robot, but copies {odd} are of another than copy 0 (other bodies, "
             "masses, joints, cells or control steps); put them into vector environments of their own."
         )
-    return drawings[0], meanings[0]
-
-
-def _same_cells(one: RobotDrawing, other: RobotDrawing) -> bool:
-    places, others = one.position_cell_sole, other.position_cell_sole
-    if places is None or others is None:
-        return places is others
-    return np.array_equal(places, others)
+    return first, meaning

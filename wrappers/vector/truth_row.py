@@ -182,12 +182,8 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
 class VectorTruthRow(AnyVectorWrapper):
     """Put the rows of truth of a :class:`~surefoot.envs.batch.BatchVectorEnv` beside its observations.
 
-    They are those of :class:`TruthRow` around each robot. ``VectorFootSensors`` puts this wrapper around such
-    an environment itself.
-
-    Args:
-        env: The environment.
-        lends: Whether rows are lent (:class:`Lent`), and not copied.
+    They are those of :class:`TruthRow` around each robot, lent or copied. ``VectorFootSensors`` puts this
+    wrapper around such an environment itself.
 
     Raises:
         TypeError: If a wrapper below changes observations.
