@@ -13,25 +13,19 @@ from typing import TYPE_CHECKING
 from surefoot.extras import names_of
 
 if TYPE_CHECKING:
-    from surefoot.robot.beliefs.errors import BeliefErrors
-    from surefoot.robot.beliefs.nominal import NominalModel
-    from surefoot.robot.beliefs.references import Beliefs
-    from surefoot.robot.calibration import CalibrationSetup, RobotCalibration
-    from surefoot.robot.sensing.equipment import Equipment
-    from surefoot.robot.sensing.sensors import RobotSensors
-    from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout
-
-__all__ = [
-    "BeliefErrors",
-    "Beliefs",
-    "CalibrationSetup",
-    "Equipment",
-    "NominalModel",
-    "RobotCalibration",
-    "RobotSensors",
-    "Telemetry",
-    "TelemetryLayout",
-]
+    from surefoot.robot.beliefs.errors import BeliefErrors as BeliefErrors
+    from surefoot.robot.beliefs.nominal import NominalModel as NominalModel
+    from surefoot.robot.beliefs.references import Beliefs as Beliefs
+    from surefoot.robot.calibration import (
+        CalibrationSetup as CalibrationSetup,
+    )
+    from surefoot.robot.calibration import (
+        RobotCalibration as RobotCalibration,
+    )
+    from surefoot.robot.sensing.equipment import Equipment as Equipment
+    from surefoot.robot.sensing.sensors import RobotSensors as RobotSensors
+    from surefoot.sensors.telemetry.computer import Telemetry as Telemetry
+    from surefoot.sensors.telemetry.computer import TelemetryLayout as TelemetryLayout
 
 _MODULES = {
     "BeliefErrors": "surefoot.robot.beliefs.errors",
@@ -45,4 +39,5 @@ _MODULES = {
     "TelemetryLayout": "surefoot.sensors.telemetry.computer",
 }
 
+__all__ = [*_MODULES]
 __getattr__, __dir__ = names_of(__name__, _MODULES, "sim")

@@ -49,21 +49,17 @@ class PythonSample:
         self._estimate = estimate = self._calibrator.update(sensors.raw, beliefs.believed)
         self.sampled = True
         shown = self._view.show(estimate, np.asarray(beliefs.soles(sensors.time)))
-        return shown, info_of(estimate, beliefs.info())
+        # Copies, as an estimate may hold arrays of the one before.
+        told = {
+            "parameters": {"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
+            "covariance": None if estimate.covariance is None else estimate.covariance.copy(),
+            "flags": estimate.flags.copy(),
+            "vgrf": estimate.vgrf.copy(),
+            "reference": beliefs.info(),
+        }
+        shares = {name: getattr(estimate, name) for name in DETERMINED}
+        return shown, told | {name: share.copy() for name, share in shares.items() if share is not None}
 
     def estimate(self) -> Estimate:
         """Return the last estimate."""
         return self._estimate
-
-
-def info_of(estimate: Estimate, reference: dict[str, Any]) -> dict[str, Any]:
-    """Return the ``info`` of an estimate, which may hold arrays of the one before, as copies."""
-    told = {
-        "parameters": {"scale": estimate.scale.copy(), "offset": estimate.offset.copy()},
-        "covariance": None if estimate.covariance is None else estimate.covariance.copy(),
-        "flags": estimate.flags.copy(),
-        "vgrf": estimate.vgrf.copy(),
-        "reference": reference,
-    }
-    shares = {name: getattr(estimate, name) for name in DETERMINED}
-    return told | {name: share.copy() for name, share in shares.items() if share is not None}

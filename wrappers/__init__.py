@@ -9,31 +9,17 @@ from typing import TYPE_CHECKING
 from surefoot.extras import names_of
 
 if TYPE_CHECKING:
-    from surefoot.robot.beliefs.errors import BeliefErrors
-    from surefoot.robot.beliefs.nominal import NominalModel
-    from surefoot.robot.beliefs.references import Beliefs
-    from surefoot.robot.sensing.foot_equipment import FootEquipment
-    from surefoot.wrappers.calibrate_first import CalibrateFirst
-    from surefoot.wrappers.foot_sensors import FootSensors
-    from surefoot.wrappers.history import SampleHistory
-    from surefoot.wrappers.self_calibration import SelfCalibration
-    from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
-    from surefoot.wrappers.vector.self_calibration import VectorSelfCalibration
-    from surefoot.wrappers.vector.truth_row import TruthRow
-
-__all__ = [
-    "BeliefErrors",
-    "Beliefs",
-    "CalibrateFirst",
-    "FootEquipment",
-    "FootSensors",
-    "NominalModel",
-    "SampleHistory",
-    "SelfCalibration",
-    "TruthRow",
-    "VectorFootSensors",
-    "VectorSelfCalibration",
-]
+    from surefoot.robot.beliefs.errors import BeliefErrors as BeliefErrors
+    from surefoot.robot.beliefs.nominal import NominalModel as NominalModel
+    from surefoot.robot.beliefs.references import Beliefs as Beliefs
+    from surefoot.robot.sensing.foot_equipment import FootEquipment as FootEquipment
+    from surefoot.wrappers.calibrate_first import CalibrateFirst as CalibrateFirst
+    from surefoot.wrappers.foot_sensors import FootSensors as FootSensors
+    from surefoot.wrappers.history import SampleHistory as SampleHistory
+    from surefoot.wrappers.self_calibration import SelfCalibration as SelfCalibration
+    from surefoot.wrappers.vector.foot_sensors import VectorFootSensors as VectorFootSensors
+    from surefoot.wrappers.vector.self_calibration import VectorSelfCalibration as VectorSelfCalibration
+    from surefoot.wrappers.vector.truth_row import TruthRow as TruthRow
 
 _MODULES = {
     "BeliefErrors": "surefoot.robot.beliefs.errors",
@@ -49,4 +35,5 @@ _MODULES = {
     "VectorSelfCalibration": "surefoot.wrappers.vector.self_calibration",
 }
 
+__all__ = [*_MODULES]
 __getattr__, __dir__ = names_of(__name__, _MODULES, "sim")

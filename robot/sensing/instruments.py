@@ -337,7 +337,8 @@ class Instruments:
 def usual_cells(drawing: RobotDrawing) -> LoadCells:
     """Choose the cells of ``hx711-load-cells`` for a robot, of its size if they were too small."""
     usual = replace(HX711_LOAD_CELLS, channels=4 * len(drawing.feet))
-    return usual if _bears(usual, drawing) else sized(usual, drawing.weight)
+    bears = _rating(usual, drawing)[0] >= PEAK * drawing.weight
+    return usual if bears else sized(usual, drawing.weight)
 
 
 def check_capacity(devices: Sequence[FootDevice], drawing: RobotDrawing) -> None:
@@ -347,50 +348,32 @@ def check_capacity(devices: Sequence[FootDevice], drawing: RobotDrawing) -> None
         UserWarning: If a foot's instruments are rated for less than 1.5 times the robot's weight.
     """
     for device in devices:
-        if not _bears(device, drawing):
-            warnings.warn(_too_small(device, drawing), stacklevel=4)
+        capacity, what, way_out = _rating(device, drawing)
+        if capacity < PEAK * drawing.weight:
+            warnings.warn(
+                f"{what} are rated for {capacity:.0f} N a foot, and a foot of this robot of "
+                f"{drawing.weight:.0f} N bears {PEAK * drawing.weight:.0f} N when it lands: they are "
+                f"overloaded, or read too little. To choose others, {way_out}.",
+                stacklevel=4,
+            )
 
 
-def _bears(device: FootDevice, drawing: RobotDrawing) -> bool:
-    """Return whether a foot's instruments are rated for its load; ideal ones bear everything."""
-    if isinstance(device, LoadCells):
-        ideal = device.adc_bits == 0 and not device.mechanics.acts
-    else:
-        ideal = not device.converts
-    if ideal:
-        return True
-    return _capacity(device, drawing) >= PEAK * drawing.weight
+def _rating(device: FootDevice, drawing: RobotDrawing) -> tuple[float, str, str]:
+    """Return the load in N that a foot's instruments bear, their name, and how to choose larger ones.
 
-
-def _capacity(device: FootDevice, drawing: RobotDrawing) -> float:
-    """Return the load in N that a foot's instruments are rated for."""
-    if isinstance(device, LoadCells):
-        return device.channels // len(drawing.feet) * device.capacity
-    return device.full_scale_force
-
-
-_NUMBERS: Final = {1: "Load cells", 4: "Four load cells"}
-"""What a foot has, by how many cells it has."""
-
-
-def _too_small(device: FootDevice, drawing: RobotDrawing) -> str:
-    what = (
-        f"{_NUMBERS[device.channels // len(drawing.feet)]} of {device.capacity:.4g} N"
-        if isinstance(device, LoadCells)
-        else "Six-axis sensors"
-    )
+    Ideal ones bear everything.
+    """
+    if not isinstance(device, LoadCells):
+        capacity = device.full_scale_force if device.converts else np.inf
+        return capacity, "Six-axis sensors", "give a larger ForceTorque.full_scale_force"
+    count = device.channels // len(drawing.feet)
+    ideal = device.adc_bits == 0 and not device.mechanics.acts
+    what = f"{'Load cells' if count == 1 else 'Four load cells'} of {device.capacity:.4g} N"
     way_out = (
         "leave 'config' out, which chooses cells of the robot's size, or give "
         f"sized(config, {drawing.weight:.0f}) of surefoot.sensors"
-        if isinstance(device, LoadCells)
-        else "give a larger ForceTorque.full_scale_force"
     )
-    least = f"{PEAK * drawing.weight:.0f} N"
-    return (
-        f"{what} are rated for {_capacity(device, drawing):.0f} N a foot, and a foot of this robot of "
-        f"{drawing.weight:.0f} N bears {least} when it lands: they are overloaded, or read too little. "
-        f"To choose others, {way_out}."
-    )
+    return np.inf if ideal else count * device.capacity, what, way_out
 
 
 def layout_options(layout: FeetLayout, drawing: RobotDrawing) -> dict[str, float]:

@@ -56,29 +56,6 @@ def _maps(truth: Any, instruments: Instruments) -> Maps | None:
     return None if found is None else tuple(part.copy() for part in found)
 
 
-def _sizes(instruments: Instruments, places: Places, dt: float) -> dict[str, Any]:
-    """Return how many readings there are and where they are taken, by the names in ``sf_sense_records``."""
-    first, *more = instruments.first_steps(dt)
-    where, (rows, columns) = places.columns, places.shape
-    return {
-        "channels": instruments.channels,
-        "dt": dt,
-        "first": first,
-        "more": len(more),
-        "rows": rows,
-        "columns": columns,
-        **{f"at_{name}": getattr(where, name) for name in ("joints", "inertial", "ankles", "cells")},
-        "stride": where.stride,
-        "soles": where.soles,
-    }
-
-
-def _reading_dtype(channels: int, observed: int) -> np.dtype[Any]:
-    """Return the record of a reading and of what is seen of it."""
-    numbers = ("raw", np.float64, channels), ("counts", np.float32, channels), ("state", np.float32, observed)
-    return np.dtype([(name, kind, (count,)) for name, kind, count in numbers])
-
-
 class NativeSensing:
     """The library for one robot, which holds the state of all that is under its feet.
 
@@ -111,7 +88,10 @@ class NativeSensing:
             self.telemetry_state = self.telemetry_state or telemetry.empty()
         observed, to, taken = _NOTHING if self._view is None else self._view.state_places()
         self._observed = observed if len(observed) else None
-        self._seen = Record(_reading_dtype(python.fitted.instruments.channels, len(observed)))
+        channels, shown = (python.fitted.instruments.channels,), (len(observed),)
+        self._seen = Record(
+            np.dtype([("raw", "f8", channels), ("counts", "f4", channels), ("state", "f4", shown)])
+        )
         self._raw: NDArray[np.float64] = self._seen.now["raw"]
         measured = {"from": taken, "to": to, "shares": len(to), "numbers": len(observed)}
         parts = self._parts_of(python) | self._arrays_of(python, observed) | measured
@@ -126,9 +106,21 @@ class NativeSensing:
         del python.state
 
     def _parts_of(self, python: PythonSensing) -> dict[str, Any]:
-        """Return sizes, and what devices and telemetry hold, by the names in the record."""
+        """Return sizes, where readings are taken, and what devices and telemetry hold, by the names there."""
         instruments, telemetry = python.fitted.instruments, self._telemetry
-        numbers = _sizes(instruments, self.places, python.dt)
+        first, *more = instruments.first_steps(python.dt)
+        where, (rows, columns) = self.places.columns, self.places.shape
+        numbers: dict[str, Any] = {
+            "channels": instruments.channels,
+            "dt": python.dt,
+            "first": first,
+            "more": len(more),
+            "rows": rows,
+            "columns": columns,
+            **{f"at_{name}": getattr(where, name) for name in ("joints", "inertial", "ankles", "cells")},
+            "stride": where.stride,
+            "soles": where.soles,
+        }
         for name, device in self._devices.items():
             kind = device.kind.name
             numbers |= {f"{kind}_config": device.constants, kind: self._states[name]}

@@ -160,6 +160,7 @@ def test_hardware_and_what_was_learnt_survive_in_files(method: str, tmp_path: An
     *_, told = new.reset()
     _same(told["surefoot"]["parameters"], infos["surefoot"]["parameters"], False)
     new.freeze()
+    assert new.frozen
     for _ in range(20):
         *_, told = new.step(still)
     kept = told["surefoot"]["parameters"]
