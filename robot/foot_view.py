@@ -78,13 +78,9 @@ def check_certainty(parts: Sequence[str], method: str) -> None:
 class FootView:
     """Makes the feet's part of an observation of estimates, and holds the last valid centres of pressure.
 
-    Args:
-        parts: Names among :data:`PARTS`.
-        layout: The feet and their channels.
-        mass: Mass that the robot believes it has in kg, for the bounds.
-        flaw: Why the feet have no centres of pressure of their own, or empty.
-        gravity: Acceleration of free fall in m/s^2.
-        rolls: Whether feet are round: forces act at their lowest points, wherever these are on the feet.
+    Parts are among :data:`PARTS`; the mass in kg, as the robot believes it, is for the bounds. A flaw says
+    why feet have no centres of pressure of their own. On round feet, which roll, forces act at their lowest
+    points, wherever these are on the feet.
 
     Attributes:
         spaces: The space of each part that is calibrated.

@@ -59,11 +59,7 @@ robot may rest on more than its feet."""
 
 
 class Plan:
-    """Finds which feet surely stood, or surely swung, some samples ago, by the plan.
-
-    Args:
-        lag: How many samples ago.
-        feet: Number of the feet, F.
+    """Finds which of F feet surely stood, or surely swung, ``lag`` samples ago, by the plan.
 
     Attributes:
         runs: For how many samples each foot was planned to stand and to swing, (2 F), of each sample kept.
@@ -88,11 +84,8 @@ class Plan:
 class Kinematics:
     """Finds which feet surely stood, or surely swung, by where they were.
 
-    Args:
-        touching: The parts of each foot that may touch: centres in the sole frames and radii in m, shape
-            (F, n, 4).
-        rolls: Whether feet are round, so that they stand on any of their sides.
-        gravity: Acceleration of free fall in m/s^2.
+    Parts of a foot that may touch are centres in its sole frame and radii in m, shape (F, n, 4). Round feet
+    roll: they stand on any of their sides. Gravity is in m/s^2.
 
     Attributes:
         runs: For how many samples each foot has stood, and has swung, (2 F).
@@ -140,9 +133,7 @@ class Upright:
     weight and motion say nothing about its feet then. The mean acceleration that a robot believes to have is
     small while it is upright, and as large as gravity is off its supposed vertical when it is not.
 
-    Args:
-        dt: Time between samples in s.
-        gravity: Acceleration of free fall in m/s^2.
+    Samples are ``dt`` s apart, and gravity is in m/s^2.
 
     Attributes:
         fell: Whether it was upright until the last moment, and no longer at it.

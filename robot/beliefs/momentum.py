@@ -57,9 +57,6 @@ class MomentumRows(NamedTuple):
 class MomentumBeliefs(Believed):
     """Makes references that hold momentum; contacts, and whether it stands upright, are those of ``beliefs``.
 
-    Args:
-        beliefs: Those that hold accelerations.
-
     Attributes:
         beliefs: Those that hold accelerations.
         believed: The result of the last :meth:`sample`.
@@ -139,10 +136,7 @@ class MomentumBeliefs(Believed):
     def momentum(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> MomentumReference:
         """Return the momentum at the end of an interval of which a moment is the middle, as a reading's is.
 
-        Args:
-            time: The moment in s of the host's clock.
-            stance: Feet that are sure to stand then, shape (F,).
-            swing: Feet that are sure to be in the air then, shape (F,).
+        Arguments are those of :meth:`Beliefs.reference`.
         """
         if self.run < 2:
             return unknown(self.beliefs.feet)._replace(stance=stance, swing=swing)

@@ -22,11 +22,7 @@ AT_ONCE = 8
 
 
 class NativeBeliefs:
-    """The library for one robot, which begins an episode.
-
-    Args:
-        library: The library.
-        believed: The Python object of the same robot.
+    """The library for one robot, of which there is a Python object, and which begins an episode.
 
     Attributes:
         believed: The result of the last :meth:`sample`; the next one overwrites it.
@@ -200,9 +196,7 @@ def native_beliefs(
 ) -> Beliefs | MomentumBeliefs | NativeBeliefs:
     """Return beliefs by a library that begin an episode, or as they are where there is none for such a robot.
 
-    Args:
-        beliefs: The Python's, which are used up.
-        library: That of the robot's calibrator; by default the one with room for all robots.
+    The library is that of the robot's calibrator, or the one with room for all; the Python's are used up.
     """
     library = library or CALIBRATION.installed()
     if library is None or library.real != np.float64:

@@ -181,7 +181,9 @@ class NominalModel:
         shared.qpos[:] = position
         shared.qvel[:] = velocity
         shared.spin[:] = spin
-        update_posture(shared.model, shared.data)
+        # Places, centres of mass and angular momenta of positions and velocities.
+        for compute in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel, mujoco.mj_subtreeVel):
+            compute(shared.model, shared.data)
         axes = shared.site_axes[self._soles].reshape(-1, 3)
         return shared.com, shared.momentum, shared.site_position[self._sites], axes
 
@@ -227,14 +229,6 @@ class NominalModel:
             "position_site": model.site_pos[self._sites],
             "R_body_site": _rotations(model.site_quat[self._sites]),
         }
-
-
-def update_posture(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Compute places, centres of mass and angular momenta of positions and velocities."""
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_comVel(model, data)
-    mujoco.mj_subtreeVel(model, data)
 
 
 def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:

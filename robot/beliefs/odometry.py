@@ -38,11 +38,7 @@ Vector = tuple[float, float, float]
 
 
 class Odometry:
-    """Turns the torso on from one middle between packets to the next.
-
-    Args:
-        period: Time between packets in s.
-        gravity: Acceleration of free fall in m/s^2.
+    """Turns the torso on from one middle between packets to the next, a period in s; gravity is in m/s^2.
 
     Attributes:
         up: Unit vector against gravity in the torso's axes.

@@ -67,11 +67,7 @@ class StrapdownConstants(NamedTuple):
 
 
 class Strapdown:
-    """The IMU's velocity and the torso's rotation.
-
-    Args:
-        period: Time between packets in s.
-        gravity: Acceleration of free fall in m/s^2.
+    """The IMU's velocity and the torso's rotation; packets are a period in s apart, and gravity is in m/s^2.
 
     Attributes:
         R: Rotation from the torso's to the level axes, shape (3, 3).

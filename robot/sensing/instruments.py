@@ -215,12 +215,7 @@ class SensorsInAnkles:
 
 
 class Instruments:
-    """All instruments under the feet, as one row of K channels.
-
-    Args:
-        devices: One kind of instrument, or load cells and six-axis sensors.
-        drawing: The robot.
-        dt: Duration of a control step in s.
+    """All instruments under the feet: one kind, or load cells and six-axis sensors, as one row of K channels.
 
     Attributes:
         channels: Their number K.

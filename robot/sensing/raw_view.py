@@ -24,11 +24,8 @@ HIDDEN = (*TRUE_KEYS, TRUTH_KEY)
 class RawView:
     """Shows readings instead of truth, of one robot or of many.
 
-    Args:
-        shown: The environment's observation space of one robot.
-        readings: The space of the readings.
-        state_layout: Where parts of ``"state"`` lie that telemetry has; ``None`` leaves it as it is.
-        packet: Columns of a packet.
+    Spaces are those of one robot's observation and of its readings. The layout says where parts of
+    ``"state"`` lie that a packet of telemetry has; ``None`` leaves it as it is.
 
     Attributes:
         space: The observation space.
