@@ -65,15 +65,8 @@ class BatchModule(nn.Module, ABC):
     """A module that holds a record of each of N robots and steps with a simulator.
 
     Records are bytes on the device, which kernels change in place. They are no buffers of torch's, as their
-    layout is of one dtype: they go into ``state_dict()`` as extra state.
-
-    Args:
-        num_envs: Number N of robots.
-        device: Where everything is; readings must be there as well.
-        dtype: ``float32`` or ``float64``; readings are brought to it.
-        dt: Time between steps in s.
-        counter: Returns the number of the simulation step; ``None`` if it is given at the calls, or every
-            call is a step. May be set later.
+    layout is of one dtype: they go into ``state_dict()`` as extra state. Arguments are those of the modules;
+    the counter may be set later.
 
     Raises:
         ValueError: If there is no robot, no time between steps, or no kernel of that dtype.
@@ -109,12 +102,7 @@ class BatchModule(nn.Module, ABC):
 
     @abstractmethod
     def reset(self, env_ids: RobotIds = None, fresh: bool = False) -> None:
-        """Start new episodes of robots; see the modules.
-
-        Args:
-            env_ids: Robots that begin one; all by default.
-            fresh: Whether nothing of theirs is kept.
-        """
+        """Start new episodes of robots, of which nothing is kept if they are fresh; see the modules."""
 
     def extra_repr(self) -> str:
         """Return the module's size, device and dtype as text."""
