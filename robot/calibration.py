@@ -249,6 +249,14 @@ class RobotCalibration(OfOneVersion):
             raise gym.error.ResetNeeded("There is no estimate before the first reset().")
         return self._backend
 
+    def believe(self, command: Any) -> bool:
+        """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
+        waits = self._chances.next()
+        self.beliefs.update(self._sensors.packets)
+        fell = self.beliefs.sample(self.reference_time, command, self.frozen or waits)
+        self._chances.add(self.beliefs.known, self.beliefs.standing)
+        return fell
+
     def sample(self, command: Any) -> Told:
         """Take in one sample; return the observation and the ``info``, as fresh arrays."""
         shown, told = self.backend.sample(self._sensors, self.reference_time, command, self.frozen)
