@@ -1,12 +1,12 @@
 """An accelerometer's own calibration by the size of gravity."""
 
 import os
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from _in_situ import FOOT_MATRIX, make_set, random_gravity, swept_gravity
+from _refusals import refusals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -177,36 +177,33 @@ def test_the_offset_of_a_force_sensor_is_freed_of_the_bias():
 # Refusals
 
 
-@pytest.mark.parametrize(
-    ("force", "options", "reason"),
-    [
-        (
-            np.full((2, 3), np.nan),
-            {},
-            "Only 0 samples for 3 unknowns (2 samples without a finite value left out)",
-        ),
-        (G * np.eye(3), {}, "Only 3 samples for 3 unknowns, and 4 are needed."),
-        (
-            random_gravity(np.random.default_rng(8), 9),
-            {"model": "full"},
-            "Only 9 samples for 9 unknowns, and 10 are needed.",
-        ),
-        (
-            random_gravity(np.random.default_rng(8), 20, 1.0),
-            {},
-            "The readings are 1 in size where gravity is 9.80665: they seem to be in another unit.",
-        ),
-        (
-            swept_gravity(100, side=0.0) + np.array([0.2, 0.1, 0.0]),
-            {},
-            "Gravity was seen turning in a plane only",
-        ),
-        (np.tile([0.0, 0.0, G], (9, 1)), {}, "Gravity was seen in one direction only"),
-    ],
+test_what_does_not_determine_is_refused = refusals(
+    lambda force, options: calibrate_accelerometer(force, **options),
+    (
+        np.full((2, 3), np.nan),
+        {},
+        "Only 0 samples for 3 unknowns (2 samples without a finite value left out)",
+    ),
+    (G * np.eye(3), {}, "Only 3 samples for 3 unknowns, and 4 are needed."),
+    (
+        random_gravity(np.random.default_rng(8), 9),
+        {"model": "full"},
+        "Only 9 samples for 9 unknowns, and 10 are needed.",
+    ),
+    (
+        random_gravity(np.random.default_rng(8), 20, 1.0),
+        {},
+        "The readings are 1 in size where gravity is 9.80665: they seem to be in another unit.",
+    ),
+    (
+        swept_gravity(100, side=0.0) + np.array([0.2, 0.1, 0.0]),
+        {},
+        "Gravity was seen turning in a plane only",
+    ),
+    (np.tile([0.0, 0.0, G], (9, 1)), {}, "Gravity was seen in one direction only"),
+    error=CalibrationRefused,
+    plain=True,
 )
-def test_what_does_not_determine_is_refused(force, options, reason):
-    with pytest.raises(CalibrationRefused, match=re.escape(reason)):
-        calibrate_accelerometer(force, **options)
 
 
 def test_sides_of_a_cube_show_no_skewness():
@@ -238,21 +235,17 @@ def test_of_few_samples_none_counts_as_moved():
     assert calibrate_accelerometer(more).stats.gated == 1
 
 
-@pytest.mark.parametrize(
-    ("force", "options", "message"),
-    [
-        (np.ones(3), {}, "'specific_force' must have shape (n, 3), got (3,)."),
-        (
-            np.ones((5, 3)),
-            {"model": "scale"},
-            "'model' must be one of 'bias', 'bias-scale', 'full', got 'scale'.",
-        ),
-        (np.ones((5, 3)), {"gravity": -9.81}, "'gravity' must be positive and finite, got -9.81."),
-    ],
+test_bad_arguments = refusals(
+    lambda force, options: calibrate_accelerometer(force, **options),
+    (np.ones(3), {}, "'specific_force' must have shape (n, 3), got (3,)."),
+    (
+        np.ones((5, 3)),
+        {"model": "scale"},
+        "'model' must be one of 'bias', 'bias-scale', 'full', got 'scale'.",
+    ),
+    (np.ones((5, 3)), {"gravity": -9.81}, "'gravity' must be positive and finite, got -9.81."),
+    plain=True,
 )
-def test_bad_arguments(force, options, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        calibrate_accelerometer(force, **options)
 
 
 # A real arm

@@ -1,9 +1,10 @@
 """The centre of pressure of cells, feet and both feet."""
 
-import re
+from operator import call
 
 import numpy as np
 import pytest
+from _refusals import refusals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -185,38 +186,31 @@ def test_a_force_plate_is_a_foot_alone():
     assert moment_rows(plate, position, R).shape == (1, 1, 3, 4)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: cop_of_cells(np.ones(4), np.ones((3, 2))),
-            "'force' holds 4 cells on its last axis but 'position' places 3: got shapes (4,) and (3, 2).",
-        ),
-        (
-            lambda: cop_of_cells(np.ones(4), np.ones((4, 5))),
-            "'force' must have shape (..., cells) and 'position' (..., cells, 2) or (..., cells, 3), "
-            "got (4,) and (4, 5).",
-        ),
-        (
-            lambda: cop_of_cells(np.ones(4, dtype=int), np.ones((4, 2))),
-            "'force' must hold floating-point numbers, got dtype int64.",
-        ),
-        (lambda: cop_of_cells([1.0] * 4, np.ones((4, 2))), "'force' must be an array, got list."),
-        (lambda: cop_of_wrench(np.ones(5)), "'wrench' must have shape (..., 6), got (5,)."),
-        (
-            lambda: cop_of_feet(np.ones((2, 6)), np.ones((3, 2)), np.ones((2, 3, 3))),
-            "'position_sole' must have shape (..., 2, 3), got (3, 2).",
-        ),
-        (
-            lambda: cop_of_feet(np.ones((2, 6)), np.ones((2, 3)), np.ones((3, 3))),
-            "'R_level_sole' must have shape (..., 2, 3, 3), got (3, 3).",
-        ),
-        (
-            lambda: sole_wrenches(np.ones(6), LAYOUT),
-            "'force' must hold one reading for each of the 8 channels",
-        ),
-    ],
+test_refuses_shapes_that_do_not_belong_together = refusals(
+    call,
+    (
+        lambda: cop_of_cells(np.ones(4), np.ones((3, 2))),
+        "'force' holds 4 cells on its last axis but 'position' places 3: got shapes (4,) and (3, 2).",
+    ),
+    (
+        lambda: cop_of_cells(np.ones(4), np.ones((4, 5))),
+        "'force' must have shape (..., cells) and 'position' (..., cells, 2) or (..., cells, 3), "
+        "got (4,) and (4, 5).",
+    ),
+    (
+        lambda: cop_of_cells(np.ones(4, dtype=int), np.ones((4, 2))),
+        "'force' must hold floating-point numbers, got dtype int64.",
+    ),
+    (lambda: cop_of_cells([1.0] * 4, np.ones((4, 2))), "'force' must be an array, got list."),
+    (lambda: cop_of_wrench(np.ones(5)), "'wrench' must have shape (..., 6), got (5,)."),
+    (
+        lambda: cop_of_feet(np.ones((2, 6)), np.ones((3, 2)), np.ones((2, 3, 3))),
+        "'position_sole' must have shape (..., 2, 3), got (3, 2).",
+    ),
+    (
+        lambda: cop_of_feet(np.ones((2, 6)), np.ones((2, 3)), np.ones((3, 3))),
+        "'R_level_sole' must have shape (..., 2, 3, 3), got (3, 3).",
+    ),
+    (lambda: sole_wrenches(np.ones(6), LAYOUT), "'force' must hold one reading for each of the 8 channels"),
+    plain=True,
 )
-def test_refuses_shapes_that_do_not_belong_together(call, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        call()

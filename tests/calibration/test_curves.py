@@ -1,10 +1,10 @@
 """Curves of channels that no line fits: found from weights, and in front of every map."""
 
-import re
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from _refusals import refusals
 from _synthetic import LAYOUT, MASS, NOMINAL, Faults, walk
 
 from surefoot.calibration import Curves, FootCalibrator, Reference
@@ -86,24 +86,20 @@ def test_they_are_plain_values_and_back() -> None:
     np.testing.assert_array_equal(Curves.from_plain(plain, 2).knots[1], KNOTS)
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ([None], "'curves' must be a list of 2, null for a channel without one."),
-        (
-            [None, {"count": [0.0, 1.0]}],
-            "A curve must be null or have 'count' and 'straight_count', got [None, {",
-        ),
-        (
-            [None, {"count": [0.0, 2.0, 1.0], "straight_count": [0.0, 1.0, 2.0]}],
-            "The curve of channel 1 must have two or more finite readings and as many straight ones, both "
-            "increasing, got [[0.0, 2.0, 1.0], [0.0, 1.0, 2.0]].",
-        ),
-    ],
+test_what_is_no_curve_is_refused = refusals(
+    lambda given: Curves.from_plain(given, 2),
+    ([None], "'curves' must be a list of 2, null for a channel without one."),
+    (
+        [None, {"count": [0.0, 1.0]}],
+        "A curve must be null or have 'count' and 'straight_count', got [None, {",
+    ),
+    (
+        [None, {"count": [0.0, 2.0, 1.0], "straight_count": [0.0, 1.0, 2.0]}],
+        "The curve of channel 1 must have two or more finite readings and as many straight ones, both "
+        "increasing, got [[0.0, 2.0, 1.0], [0.0, 1.0, 2.0]].",
+    ),
+    plain=True,
 )
-def test_what_is_no_curve_is_refused(given: list, message: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(message)):
-        Curves.from_plain(given, 2)
 
 
 @pytest.mark.parametrize("library", [True, False])

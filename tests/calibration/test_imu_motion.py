@@ -1,9 +1,8 @@
 """An IMU's log carried to the sensor's origin, held against rigid bodies in closed form."""
 
-import re
-
 import numpy as np
 import pytest
+from _refusals import refusals
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.imu import gravity_from_imu
@@ -78,10 +77,7 @@ def test_a_wheel_with_a_cubic_angle_is_exact():
     gravity_sensor = 9.81 * np.stack([-np.sin(angle), -np.cos(angle), zero], axis=-1)  # y up in the world
     of_imu = np.stack([-(rate**2) * radius, acceleration * radius, zero], axis=-1)
     motion = gravity_from_imu(
-        of_imu - gravity_sensor,
-        np.stack([zero, zero, rate], axis=-1),
-        dt=DT,
-        position_imu=[radius, 0.0, 0.0],
+        of_imu - gravity_sensor, np.stack([zero, zero, rate], axis=-1), dt=DT, position_imu=[radius, 0.0, 0.0]
     )
     np.testing.assert_allclose(motion.gravity, gravity_sensor, atol=1e-9)
     np.testing.assert_allclose(motion.angular_acceleration[:, 2], acceleration, atol=1e-9)
@@ -119,27 +115,23 @@ def test_gaps_of_the_accelerometer_stay_where_they_are(swing):
     assert np.flatnonzero(~np.isfinite(motion.gravity).all(axis=1)).tolist() == [17]
 
 
-@pytest.mark.parametrize(
-    ("force", "rate", "options", "message"),
-    [
-        (np.ones(3), np.ones(3), {}, "'specific_force' must have shape (n, 3), got (3,)."),
-        (np.ones((40, 3)), np.ones((39, 3)), {}, "'angular_velocity' must have shape (40, 3), got (39, 3)."),
-        (
-            np.ones((40, 3)),
-            np.ones((40, 3)),
-            {"position_imu": [0.0, np.nan, 0.0]},
-            "'position_imu' must be three finite numbers",
-        ),
-        (
-            np.ones((40, 3)),
-            np.ones((40, 3)),
-            {"R_sensor_imu": np.diag([1.0, 1.0, -1.0])},
-            "'R_sensor_imu' must be a rotation of shape (3, 3), got [[1.0, 0.0, 0.0],",
-        ),
-        (np.ones((14, 3)), np.ones((14, 3)), {}, "The log holds 14 samples, but the filter's window is 15"),
-        (np.ones((40, 3)), np.full((40, 3), np.nan), {}, "40 of 40 samples are not finite"),
-    ],
+test_bad_arguments_are_refused = refusals(
+    lambda force, rate, options: gravity_from_imu(force, rate, dt=DT, **options),
+    (np.ones(3), np.ones(3), {}, "'specific_force' must have shape (n, 3), got (3,)."),
+    (np.ones((40, 3)), np.ones((39, 3)), {}, "'angular_velocity' must have shape (40, 3), got (39, 3)."),
+    (
+        np.ones((40, 3)),
+        np.ones((40, 3)),
+        {"position_imu": [0.0, np.nan, 0.0]},
+        "'position_imu' must be three finite numbers",
+    ),
+    (
+        np.ones((40, 3)),
+        np.ones((40, 3)),
+        {"R_sensor_imu": np.diag([1.0, 1.0, -1.0])},
+        "'R_sensor_imu' must be a rotation of shape (3, 3), got [[1.0, 0.0, 0.0],",
+    ),
+    (np.ones((14, 3)), np.ones((14, 3)), {}, "The log holds 14 samples, but the filter's window is 15"),
+    (np.ones((40, 3)), np.full((40, 3), np.nan), {}, "40 of 40 samples are not finite"),
+    plain=True,
 )
-def test_bad_arguments_are_refused(force, rate, options, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        gravity_from_imu(force, rate, dt=DT, **options)

@@ -4,15 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from _in_situ import (
-    FOOT_MATRIX,
-    SENSORS,
-    make_set,
-    offsets_of,
-    paper_sets,
-    swept_gravity,
-    with_arrays,
-)
+from _in_situ import FOOT_MATRIX, SENSORS, make_set, offsets_of, paper_sets, swept_gravity, with_arrays
+from _refusals import refusals
 
 from surefoot.calibration.in_situ import InSituSet, estimate_matrix, estimate_offset
 from surefoot.calibration.results import CalibrationRefused
@@ -122,16 +115,12 @@ def test_a_set_without_a_finite_sample_is_refused_by_name():
         estimate_matrix([*sets[:2], empty, sets[3]], offset)
 
 
-@pytest.mark.parametrize(
-    ("raw", "gravity", "message"),
-    [
-        (np.ones(6), np.ones((1, 3)), "'raw' must have shape (n, k) with k >= 3, got (6,)."),
-        (np.ones((4, 6)), np.ones((5, 3)), "'gravity' must have shape (4, 3) like 'raw', got (5, 3)."),
-    ],
+test_shapes_of_the_offset_fit = refusals(
+    estimate_offset,
+    (np.ones(6), np.ones((1, 3)), "'raw' must have shape (n, k) with k >= 3, got (6,)."),
+    (np.ones((4, 6)), np.ones((5, 3)), "'gravity' must have shape (4, 3) like 'raw', got (5, 3)."),
+    plain=True,
 )
-def test_shapes_of_the_offset_fit(raw, gravity, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        estimate_offset(raw, gravity)
 
 
 def test_shapes_of_the_matrix_fit():

@@ -1,9 +1,11 @@
 """Laying out the channels of feet."""
 
 import re
+from operator import call
 
 import numpy as np
 import pytest
+from _refusals import refusals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -54,31 +56,23 @@ def test_nao_shoes_are_mirror_images():
     np.testing.assert_allclose(mirrored[[1, 0, 3, 2]], right.position_cell_sole, atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("positions", "message"),
-    [
-        ([(0.0, 0.0), (1.0, 0.0)], "needs at least three cell positions of shape (cells, 2) or (cells, 3)"),
-        (np.zeros((4, 4)), "got shape (4, 4)"),
-        ([(0.0, 0.0), (1.0, np.nan), (0.0, 1.0)], "cell positions of foot 'left' hold values"),
-        ([(0.0, 0.0), (0.1, 0.1), (0.2, 0.2)], "The cells of foot 'left' lie on one line"),
-    ],
+test_refuses_cells_that_make_no_foot = refusals(
+    lambda positions: FootLayout.load_cells("left", positions),
+    ([(0.0, 0.0), (1.0, 0.0)], "needs at least three cell positions of shape (cells, 2) or (cells, 3)"),
+    (np.zeros((4, 4)), "got shape (4, 4)"),
+    ([(0.0, 0.0), (1.0, np.nan), (0.0, 1.0)], "cell positions of foot 'left' hold values"),
+    ([(0.0, 0.0), (0.1, 0.1), (0.2, 0.2)], "The cells of foot 'left' lie on one line"),
+    plain=True,
 )
-def test_refuses_cells_that_make_no_foot(positions, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        FootLayout.load_cells("left", positions)
 
 
-@pytest.mark.parametrize(
-    ("wrench_map", "names", "message"),
-    [
-        (np.zeros((5, 4)), ("a",) * 4, "must have shape (6, channels), got (5, 4)"),
-        (np.full((6, 1), np.inf), ("a",), "holds values that are not finite"),
-        (np.zeros((6, 2)), ("a",), "has 2 channels but 1 channel names: ('a',)"),
-    ],
+test_refuses_a_map_that_is_none = refusals(
+    lambda wrench_map, names: FootLayout("left", wrench_map, names),
+    (np.zeros((5, 4)), ("a",) * 4, "must have shape (6, channels), got (5, 4)"),
+    (np.full((6, 1), np.inf), ("a",), "holds values that are not finite"),
+    (np.zeros((6, 2)), ("a",), "has 2 channels but 1 channel names: ('a',)"),
+    plain=True,
 )
-def test_refuses_a_map_that_is_none(wrench_map, names, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        FootLayout("left", wrench_map, names)
 
 
 def test_a_force_plate_is_one_foot_alone():
@@ -164,43 +158,39 @@ def test_what_hangs_below_is_kept_and_nothing_by_default():
     assert plain.sensors[0].channels == slice(0, 3)
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (
-            lambda: FootLayout.load_cells("left", CORNERS, mass_below=-0.1),
-            "'mass_below' of foot 'left' must be finite and not negative, got -0.1 kg.",
-        ),
-        (
-            lambda: FootLayout.force_torque("left", position_sensor_sole=PLACE, mass_below=np.nan),
-            "'mass_below' of foot 'left' must be finite and not negative, got nan kg.",
-        ),
-        (
-            lambda: FootLayout.load_cells("left", CORNERS, com_below_sole=(0.0, 0.0)),
-            "'com_below_sole' of foot 'left' must hold three finite numbers in m, got (0.0, 0.0).",
-        ),
-        (
-            lambda: FootLayout.force_torque("left", position_sensor_sole=(0.0, np.inf, 0.0)),
-            "'position_sensor_sole' of foot 'left' must hold three finite numbers in m, got (0.0, inf, 0.0).",
-        ),
-        (
-            lambda: FootLayout.force_torque("left", position_sensor_sole=PLACE, R_sole_sensor=-np.eye(3)),
-            "'R_sole_sensor' of foot 'left' must be a rotation of shape (3, 3), got",
-        ),
-        (
-            lambda: FootLayout.force_torque("left", position_sensor_sole=PLACE, R_sole_sensor=np.eye(2)),
-            "'R_sole_sensor' of foot 'left' must be a rotation of shape (3, 3), got",
-        ),
-        (
-            lambda: FootLayout.combined("left", FootLayout.load_cells("left", CORNERS)),
-            "Foot 'left' combines instruments and needs at least two, got 1.",
-        ),
-        (
-            lambda: FootLayout.combined("left", *[FootLayout.load_cells("left", CORNERS)] * 2),
-            "Foot 'left' combines channels of the same name: ('front-left',",
-        ),
-    ],
+test_refuses_instruments_that_make_no_foot = refusals(
+    call,
+    (
+        lambda: FootLayout.load_cells("left", CORNERS, mass_below=-0.1),
+        "'mass_below' of foot 'left' must be finite and not negative, got -0.1 kg.",
+    ),
+    (
+        lambda: FootLayout.force_torque("left", position_sensor_sole=PLACE, mass_below=np.nan),
+        "'mass_below' of foot 'left' must be finite and not negative, got nan kg.",
+    ),
+    (
+        lambda: FootLayout.load_cells("left", CORNERS, com_below_sole=(0.0, 0.0)),
+        "'com_below_sole' of foot 'left' must hold three finite numbers in m, got (0.0, 0.0).",
+    ),
+    (
+        lambda: FootLayout.force_torque("left", position_sensor_sole=(0.0, np.inf, 0.0)),
+        "'position_sensor_sole' of foot 'left' must hold three finite numbers in m, got (0.0, inf, 0.0).",
+    ),
+    (
+        lambda: FootLayout.force_torque("left", position_sensor_sole=PLACE, R_sole_sensor=-np.eye(3)),
+        "'R_sole_sensor' of foot 'left' must be a rotation of shape (3, 3), got",
+    ),
+    (
+        lambda: FootLayout.force_torque("left", position_sensor_sole=PLACE, R_sole_sensor=np.eye(2)),
+        "'R_sole_sensor' of foot 'left' must be a rotation of shape (3, 3), got",
+    ),
+    (
+        lambda: FootLayout.combined("left", FootLayout.load_cells("left", CORNERS)),
+        "Foot 'left' combines instruments and needs at least two, got 1.",
+    ),
+    (
+        lambda: FootLayout.combined("left", *[FootLayout.load_cells("left", CORNERS)] * 2),
+        "Foot 'left' combines channels of the same name: ('front-left',",
+    ),
+    plain=True,
 )
-def test_refuses_instruments_that_make_no_foot(build, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        build()

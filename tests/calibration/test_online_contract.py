@@ -5,6 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from _refusals import refusals
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, walk
 
 from surefoot.calibration import METHODS, Flag, OnlineSetup, Parameters, Reference, online_method, replay
@@ -280,26 +281,18 @@ def test_an_unknown_option_lists_what_exists(name):
         online_method(name, SETUP, magic=1)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"mass": -1.0}, "'mass' must be positive and finite, got -1.0"),
-        ({"dt": 0.0}, "'dt' must be positive and finite, got 0.0"),
-        ({"lag": -1}, "'lag' must be a whole number of samples from 0 on, got -1"),
-        ({"lag": 1.5}, "'lag' must be a whole number of samples from 0 on, got 1.5"),
-        ({"force_threshold": np.nan}, "'force_threshold' must not be negative and must be finite, got nan"),
-        ({"foot_length": 0.0}, "'foot_length' must be positive and finite, got 0.0"),
-        ({"initial": Parameters(np.zeros(8), np.zeros(8))}, "'initial.scale' must not be zero"),
-        (
-            {"initial": Parameters(np.ones(8), np.full(8, np.inf))},
-            "'initial.offset' holds values that are not",
-        ),
-        ({"initial": Parameters(np.ones(7), np.zeros(8))}, r"'initial.scale' must hold one number .* \(7,\)"),
-    ],
+test_a_setup_without_meaning_is_refused = refusals(
+    lambda options: OnlineSetup(**{"layout": LAYOUT, "mass": MASS, "initial": NOMINAL, **options}),
+    ({"mass": -1.0}, "'mass' must be positive and finite, got -1.0"),
+    ({"dt": 0.0}, "'dt' must be positive and finite, got 0.0"),
+    ({"lag": -1}, "'lag' must be a whole number of samples from 0 on, got -1"),
+    ({"lag": 1.5}, "'lag' must be a whole number of samples from 0 on, got 1.5"),
+    ({"force_threshold": np.nan}, "'force_threshold' must not be negative and must be finite, got nan"),
+    ({"foot_length": 0.0}, "'foot_length' must be positive and finite, got 0.0"),
+    ({"initial": Parameters(np.zeros(8), np.zeros(8))}, "'initial.scale' must not be zero"),
+    ({"initial": Parameters(np.ones(8), np.full(8, np.inf))}, "'initial.offset' holds values that are not"),
+    ({"initial": Parameters(np.ones(7), np.zeros(8))}, r"'initial.scale' must hold one number .* \(7,\)"),
 )
-def test_a_setup_without_meaning_is_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        OnlineSetup(**{"layout": LAYOUT, "mass": MASS, "initial": NOMINAL, **options})
 
 
 @pytest.mark.parametrize("name", ["moment", "tare", "none"])

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from _refusals import refusals
 
 from surefoot.controllers.policy import FORMAT, PolicyFileError, PolicyNetwork
 from surefoot.controllers.posture import PostureDrive, posture_matrix
@@ -102,21 +103,17 @@ def test_it_refuses_another_observation():
         policy.fits(spaces.Dict(box), spaces.Box(-1, 1, (12,)))
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"parts": {"state": 4, "cop": 2, "cop_valid": 3}}, "takes 9 numbers"),
-        ({"biases": [np.zeros(6)]}, "each layer a weight and a bias"),
-        ({"weights": [], "biases": []}, "at least one layer"),
-        ({"weights": [np.full((4, 10), np.nan)], "biases": [np.zeros(4)]}, "not finite"),
-        ({"weights": [np.zeros((3, 10))], "biases": [np.zeros(3)]}, "3 numbers for 4 postures"),
-        ({"posture_speed": -1.0}, "'speed'"),
-        ({"hold": 0}, "'hold'"),
-    ],
+test_it_refuses_what_does_not_fit_together = refusals(
+    lambda changes: make(**changes),
+    ({"parts": {"state": 4, "cop": 2, "cop_valid": 3}}, "takes 9 numbers"),
+    ({"biases": [np.zeros(6)]}, "each layer a weight and a bias"),
+    ({"weights": [], "biases": []}, "at least one layer"),
+    ({"weights": [np.full((4, 10), np.nan)], "biases": [np.zeros(4)]}, "not finite"),
+    ({"weights": [np.zeros((3, 10))], "biases": [np.zeros(3)]}, "3 numbers for 4 postures"),
+    ({"posture_speed": -1.0}, "'speed'"),
+    ({"hold": 0}, "'hold'"),
+    error=PolicyFileError,
 )
-def test_it_refuses_what_does_not_fit_together(changes, text):
-    with pytest.raises(PolicyFileError, match=text):
-        make(**changes)
 
 
 def contents(path):

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from _refusals import refusals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -109,17 +110,12 @@ def test_impossible_walks_are_refused(change, message):
         plan_footsteps(**(arguments | change))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"step_time": 0.1}, "'step_time'"),
-        ({"double_support": 0.95}, "'double_support'"),
-        ({"stand_time": 0.0}, "'stand_time'"),
-    ],
+test_impossible_timings_are_refused = refusals(
+    lambda change: GaitTiming(**change),
+    ({"step_time": 0.1}, "'step_time'"),
+    ({"double_support": 0.95}, "'double_support'"),
+    ({"stand_time": 0.0}, "'stand_time'"),
 )
-def test_impossible_timings_are_refused(change, message):
-    with pytest.raises(ValueError, match=message):
-        GaitTiming(**change)
 
 
 def test_steps_that_fit_leave_room_for_standing():

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from _refusals import refusals
 
 from surefoot.envs.gait.dynamics import joint_torques, motor_targets, multibody_zmp
 from surefoot.envs.gait.footsteps import GaitTiming
@@ -21,12 +22,7 @@ WALKS = {
     "turn in place": (0.0, 0.2),
     "route": None,
 }
-ROUTE = (
-    Leg(2.4, 0.04, 0.1),
-    Leg(2.8, 0.1, 0.0),
-    Leg(0.5, 0.0, 0.0),
-    Leg(2.8, -0.03, -0.2),
-)
+ROUTE = (Leg(2.4, 0.04, 0.1), Leg(2.8, 0.1, 0.0), Leg(0.5, 0.0, 0.0), Leg(2.8, -0.03, -0.2))
 SHOE = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)]) * (0.085, 0.049)
 
 
@@ -170,19 +166,14 @@ def test_outside_its_time_a_pattern_stands():
     assert pattern.command(10**6).stance.all()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"duration": -1.0}, "'duration' must be a positive number of seconds, got -1.0"),
-        ({"duration": float("nan")}, "'duration' must be a positive number"),
-        ({"duration": 2.0}, r"no room for two steps.*walk for at least 3\.9"),
-        ({"speed": 0.5}, "walk at most"),
-        ({"speed": float("nan")}, "'speed' must be finite"),
-    ],
+test_impossible_plans_are_refused = refusals(
+    lambda arguments: plan_walk(**arguments),
+    ({"duration": -1.0}, "'duration' must be a positive number of seconds, got -1.0"),
+    ({"duration": float("nan")}, "'duration' must be a positive number"),
+    ({"duration": 2.0}, r"no room for two steps.*walk for at least 3\.9"),
+    ({"speed": 0.5}, "walk at most"),
+    ({"speed": float("nan")}, "'speed' must be finite"),
 )
-def test_impossible_plans_are_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        plan_walk(**arguments)
 
 
 def test_the_least_duration_named_is_enough():

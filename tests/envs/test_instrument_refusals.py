@@ -6,6 +6,7 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
+from _refusals import refusals
 from _toy import LEGS, TOY, Toy, warned
 
 from surefoot.envs import InstrumentedEnv, instrument
@@ -176,13 +177,9 @@ def test_dm_controls_physics_is_read_beside():
         InstrumentedEnv(Controlled(), soles=True)
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"cells": [(0.0, 0.0)]}, "'cells' must map the bodies of feet to places of four cells"),
-        ({"soles": ["left_foot"]}, "'soles' must be True, or map the bodies of feet"),
-    ],
+test_options_that_name_no_feet_are_refused = refusals(
+    lambda options: InstrumentedEnv(gym.make("Humanoid-v5"), **options),
+    ({"cells": [(0.0, 0.0)]}, "'cells' must map the bodies of feet to places of four cells"),
+    ({"soles": ["left_foot"]}, "'soles' must be True, or map the bodies of feet"),
+    error=TypeError,
 )
-def test_options_that_name_no_feet_are_refused(options, text):
-    with pytest.raises(TypeError, match=text):
-        InstrumentedEnv(gym.make("Humanoid-v5"), **options)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from _refusals import refusals
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -73,17 +74,12 @@ def test_positions_may_have_a_height():
     np.testing.assert_array_equal(SolePlate(high, np.ones(4)).share, flat.share)
 
 
-@pytest.mark.parametrize(
-    ("position", "stiffness", "message"),
-    [
-        (RECTANGLE[:3], np.ones(4), "four cells"),
-        (np.full((4, 2), np.nan), np.ones(4), "finite positions"),
-        (RECTANGLE, np.ones(3), "four positive finite stiffnesses"),
-        (RECTANGLE, [1.0, 1.0, 1.0, 0.0], "four positive finite stiffnesses"),
-        (RECTANGLE, [1.0, 1.0, 1.0, np.inf], "four positive finite stiffnesses"),
-        (np.column_stack([np.arange(4.0), np.arange(4.0)]), np.ones(4), "on one line"),
-    ],
+test_bad_plates_are_refused = refusals(
+    SolePlate,
+    (RECTANGLE[:3], np.ones(4), "four cells"),
+    (np.full((4, 2), np.nan), np.ones(4), "finite positions"),
+    (RECTANGLE, np.ones(3), "four positive finite stiffnesses"),
+    (RECTANGLE, [1.0, 1.0, 1.0, 0.0], "four positive finite stiffnesses"),
+    (RECTANGLE, [1.0, 1.0, 1.0, np.inf], "four positive finite stiffnesses"),
+    (np.column_stack([np.arange(4.0), np.arange(4.0)]), np.ones(4), "on one line"),
 )
-def test_bad_plates_are_refused(position, stiffness, message):
-    with pytest.raises(ValueError, match=message):
-        SolePlate(position, stiffness)
