@@ -3,10 +3,7 @@
 import numpy as np
 from _synthetic import DT, LAYOUT, NOMINAL, Faults, believed_mass, walk
 
-from surefoot.calibration import (
-    Reference,
-    replay,
-)
+from surefoot.calibration import Reference, replay
 
 
 def run(log, method="window", faults=None, **options):

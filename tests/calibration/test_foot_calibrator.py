@@ -220,12 +220,9 @@ def test_a_state_of_another_setup_and_files_of_another_kind_are_refused(log, tmp
     ):
         with pytest.raises(ValueError, match=f"was saved for {name} '"):
             make(**options).load(path)
-    (tmp_path / "text").write_text("no state")
-    np.save(tmp_path / "one.npy", np.zeros(3))
     (tmp_path / "half").write_bytes(path.read_bytes()[:500])
-    for name in ("text", "one.npy", "half"):
-        with pytest.raises(ValueError, match="is not a saved state: it is another file or damaged"):
-            first.load(tmp_path / name)
+    with pytest.raises(ValueError, match="is not a saved state: it is another file or damaged"):
+        first.load(tmp_path / "half")
 
 
 def test_a_damaged_file_is_refused_whatever_is_damaged(log, tmp_path):
@@ -258,8 +255,7 @@ def test_zero_phase_keeps_an_absurd_reading_from_its_neighbours(log):
 
 
 @pytest.mark.parametrize(
-    ("method", "options"),
-    [("window", {"every": 8.0, "iterations": 2.0}), ("moment", {"lag": 2.0})],
+    ("method", "options"), [("window", {"every": 8.0, "iterations": 2.0}), ("moment", {"lag": 2.0})]
 )
 def test_counts_may_be_floats_as_files_have_them(log, method, options, monkeypatch):
     each_row = rows(log)
@@ -278,10 +274,6 @@ def test_arguments_without_meaning_are_refused(log):
             make(lag=lag)
     with pytest.raises(ValueError, match="'every' must be a whole number from 1 on, got inf"):
         make(every=np.inf)
-    with pytest.raises(TypeError, match="'mass' must be a number, got '5' of type str"):
-        make(mass="5")
-    with pytest.raises(TypeError, match=r"'initial' must be Parameters\(scale, offset\), got tuple"):
-        make(initial=tuple(NOMINAL))
     with pytest.raises(TypeError, match="must be a FootLayout, got NoneType; leave a missing foot out"):
         FeetLayout((LAYOUT.feet[0], None))
     with pytest.raises(TypeError, match="'reference' must be a Reference, got NoneType"):
@@ -296,5 +288,3 @@ def test_options_may_be_a_value_that_names_its_method():
     assert FootCalibrator(LAYOUT, SwingTare(), mass=MASS).method == "tare"
     with pytest.raises(ValueError, match=r"'ripple' is given twice, in Moment\(...\) and as a keyword"):
         FootCalibrator(LAYOUT, Moment(ripple=1.0), mass=MASS, ripple=2.0)
-    with pytest.raises(TypeError, match=r"must be a name, such as 'moment', or its options, .* got 5 of int"):
-        FootCalibrator(LAYOUT, 5, mass=MASS)

@@ -83,12 +83,7 @@ def test_no_number_that_is_impossible_is_loaded_and_what_was_learnt_stays(method
 
 ONE_SIDED = {
     "not symmetric": ("covariance", 0.5, (0, 1), "'covariance' is not symmetric, as a covariance is."),
-    "negative variance": (
-        "covariance",
-        -0.5,
-        (2, 2),
-        "'covariance' has the variance -0.5",
-    ),
+    "negative variance": ("covariance", -0.5, (2, 2), "'covariance' has the variance -0.5"),
     "unknown flag": ("status", 65536, ..., "'status' holds 6.554e+04, and 0 to 6.554e+04 can be."),
     "negative flag": ("status", -1, ..., "'status' holds -1, and 0 to 6.554e+04 can be."),
     "a fault unheard of": (
@@ -104,9 +99,8 @@ ONE_SIDED = {
 }
 
 
-@pytest.mark.parametrize("case", ONE_SIDED)
-def test_what_no_filter_can_hold_is_named(case, saved, tmp_path):
-    leaf, value, at, message = ONE_SIDED[case]
+@pytest.mark.parametrize(("leaf", "value", "at", "message"), ONE_SIDED.values(), ids=ONE_SIDED)
+def test_what_no_filter_can_hold_is_named(leaf, value, at, message, saved, tmp_path):
     path = change(saved["moment"], tmp_path / "feet.npz", leaf, value, at)
     with pytest.raises(ValueError, match=re.escape(message)):
         make().load(path)
@@ -188,9 +182,8 @@ ARCHIVES = {
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("case", ARCHIVES)
-def test_no_archive_costs_memory_or_runs_anything(case, tmp_path):
-    write, message = ARCHIVES[case]
+@pytest.mark.parametrize(("write", "message"), ARCHIVES.values(), ids=ARCHIVES)
+def test_no_archive_costs_memory_or_runs_anything(write, message, tmp_path):
     path = tmp_path / "feet.npz"
     write(path)
     with pytest.raises(ValueError, match=rf"is not a saved state: .* damaged \({re.escape(message)}"):
@@ -223,9 +216,8 @@ NO_FILES = {
 }
 
 
-@pytest.mark.parametrize("case", NO_FILES)
-def test_what_is_no_file_is_neither_replaced_nor_read(case, log, row, tmp_path, monkeypatch):
-    make_it, message = NO_FILES[case]
+@pytest.mark.parametrize(("make_it", "message"), NO_FILES.values(), ids=NO_FILES)
+def test_what_is_no_file_is_neither_replaced_nor_read(make_it, message, log, row, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # the name of a socket is short
     path = Path("feet.npz")
     make_it(path)
@@ -333,9 +325,8 @@ STREAM = {
 }
 
 
-@pytest.mark.parametrize("case", STREAM)
-def test_in_a_stream_it_is_a_flag_and_an_estimate_that_stays(case, log, row):
-    change, flag = STREAM[case]
+@pytest.mark.parametrize(("change", "flag"), STREAM.values(), ids=STREAM)
+def test_in_a_stream_it_is_a_flag_and_an_estimate_that_stays(change, flag, log, row):
     for method in ("moment", "tare"):
         calibrator = make(method)
         before = [calibrator.update(log.raw[k], row(k)) for k in range(8)][-1]
@@ -397,9 +388,8 @@ ARGUMENTS = {
 }
 
 
-@pytest.mark.parametrize("case", ARGUMENTS)
-def test_arguments_are_refused_at_the_door(case):
-    call, message = ARGUMENTS[case]
+@pytest.mark.parametrize(("call", "message"), ARGUMENTS.values(), ids=ARGUMENTS)
+def test_arguments_are_refused_at_the_door(call, message):
     with pytest.raises((TypeError, ValueError)) as refused:
         call()
     assert str(refused.value) == message

@@ -42,8 +42,7 @@ def contact_error(matrix, response):
 
 
 @pytest.mark.parametrize(
-    ("loads", "off"),
-    [*(pytest.param(1, off, marks=pytest.mark.slow) for off in (0.0, 0.03)), (2, 0.03)],
+    ("loads", "off"), [*(pytest.param(1, off, marks=pytest.mark.slow) for off in (0.0, 0.03)), (2, 0.03)]
 )
 def test_a_matrix_is_never_worse_than_the_makers(loads, off):
     held = []

@@ -372,10 +372,7 @@ def pose_sets(walk, settle, rows):
 
 @pytest.mark.parametrize(
     ("walk", "settle", "rows"),
-    [
-        pytest.param(5.0, 0.0, 25, id="a slow zero"),
-        pytest.param(0.0, 0.1, 75, id="a filter"),
-    ],
+    [pytest.param(5.0, 0.0, 25, id="a slow zero"), pytest.param(0.0, 0.1, 75, id="a filter")],
 )
 def test_gravity_that_repeats_while_a_limb_rests_is_not_held(walk, settle, rows):
     fit = calibrate_in_situ(pose_sets(walk, settle, rows))

@@ -140,8 +140,7 @@ def test_an_offset_that_leapt_is_found_once_it_may_have():
 
 
 @pytest.mark.parametrize(
-    ("value", "flag"),
-    [(np.nan, Flag.MISSING), (np.inf, Flag.OUT_OF_RANGE), (32767.0, Flag.SATURATED)],
+    ("value", "flag"), [(np.nan, Flag.MISSING), (np.inf, Flag.OUT_OF_RANGE), (32767.0, Flag.SATURATED)]
 )
 def test_a_bad_channel_changes_no_estimate(value, flag):
     tracker = InSituTracker(make_fit(), code_range=(-32768.0, 32767.0))

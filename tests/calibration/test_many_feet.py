@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from surefoot.calibration import (
-    FeetLayout,
-    FootLayout,
-    MomentumReference,
-    Reference,
-    replay,
-)
+from surefoot.calibration import FeetLayout, FootLayout, MomentumReference, Reference, replay
 from surefoot.calibration.reference import GRAVITY
 
 DT, SECONDS, MASS = 0.01, 16.0, 12.0

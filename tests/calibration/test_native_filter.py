@@ -296,22 +296,13 @@ def play_garbage(library, program, tmp_path, layout, method):
         native.constants.config.tobytes() + (b"" if own is None else own.tobytes())
     )
     done = subprocess.run(
-        [program, tmp_path / "config", str(samples), method],
-        capture_output=True,
-        text=True,
-        check=False,
+        [program, tmp_path / "config", str(samples), method], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("layout", "method"),
-    [
-        ("ankles", "window"),
-        ("both", "tare"),
-    ],
-)
+@pytest.mark.parametrize(("layout", "method"), [("ankles", "window"), ("both", "tare")])
 def test_garbage_leaves_the_state_finite_and_memory_alone(library, fuzzer, tmp_path, layout, method):
     play_garbage(library, fuzzer(), tmp_path, layout, method)
 

@@ -15,7 +15,6 @@ from surefoot.calibration import (
     Parameters,
     Reference,
     ground_reference,
-    online_method,
     replay,
 )
 from surefoot.calibration.cop import moment_rows
@@ -397,19 +396,6 @@ def test_an_update_is_one_every_four_samples():
     changed = np.flatnonzero(np.abs(np.diff(estimate.scale, axis=0)).max(axis=1) > 0) + 1
     assert len(changed) > 10
     assert (changed % 4 == 3).all()
-
-
-def test_methods_hand_out_a_state_that_is_a_value():
-    log = walk(2, duration=2.0, stand=1.0, faults=Faults.bad())
-    setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL)
-    init, update, _ = online_method("window", setup, standing_start=False)
-    state = init(log.raw[0])
-    for k in range(120):
-        state, _ = update(state, log.raw[k], Reference(*(part[k] for part in log.reference)), DT)
-    row = Reference(*(part[120] for part in log.reference))
-    (first, one), (second, two) = (update(state, log.raw[120], row, DT) for _ in range(2))
-    np.testing.assert_array_equal(one.scale, two.scale)
-    np.testing.assert_array_equal(first.samples, second.samples)
 
 
 def test_a_slow_stream_is_told_how_to_do_without_the_filter():

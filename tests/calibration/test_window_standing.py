@@ -5,13 +5,7 @@ import pytest
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, walk
 from _window import at_rest, run
 
-from surefoot.calibration import (
-    GRAVITY,
-    Flag,
-    OnlineSetup,
-    Reference,
-    replay,
-)
+from surefoot.calibration import GRAVITY, Flag, OnlineSetup, Reference, replay
 from surefoot.calibration.window.config import Window, confidence_from_standing
 
 

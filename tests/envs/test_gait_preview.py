@@ -23,10 +23,7 @@ def staircase(levels, hold=40, move=26):
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    levels=st.lists(st.floats(-0.1, 0.1), min_size=2, max_size=6),
-    height=st.floats(0.15, 0.6),
-)
+@given(levels=st.lists(st.floats(-0.1, 0.1), min_size=2, max_size=6), height=st.floats(0.15, 0.6))
 def test_zmp_follows_its_reference(levels, height):
     reference = staircase(levels)
     model = CartTable(height, DT)

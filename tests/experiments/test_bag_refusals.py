@@ -90,9 +90,8 @@ BAD_BAGS: dict[str, tuple[Callable[[Path], Any], str]] = {
 
 
 @one_format
-@pytest.mark.parametrize("case", BAD_BAGS)
-def test_a_bad_bag_is_one_line(bag: Path, tmp_path: Path, case: str) -> None:
-    spoil, reason = BAD_BAGS[case]
+@pytest.mark.parametrize(("spoil", "reason"), BAD_BAGS.values(), ids=BAD_BAGS)
+def test_a_bad_bag_is_one_line(bag: Path, tmp_path: Path, spoil: Callable[[Path], Any], reason: str) -> None:
     for one in bag.parent.iterdir():
         (shutil.copytree if one.is_dir() else shutil.copy)(one, tmp_path / one.name)
     path = tmp_path / bag.name

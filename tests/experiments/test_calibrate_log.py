@@ -181,9 +181,8 @@ UNITS = {
 }
 
 
-@pytest.mark.parametrize("unit", UNITS)
-def test_a_map_in_other_units_is_refused(log: Log, tmp_path: Path, unit: str) -> None:
-    factor, message = UNITS[unit]
+@pytest.mark.parametrize(("factor", "message"), UNITS.values(), ids=UNITS)
+def test_a_map_in_other_units_is_refused(log: Log, tmp_path: Path, factor: float, message: str) -> None:
     log = balanced(log)
     log = dataclasses.replace(log, nominal=Parameters(*(factor * part for part in log.nominal)))
     with pytest.raises(LogError) as refused:
@@ -331,9 +330,10 @@ UNITS_OF_REFERENCES = {
 }
 
 
-@pytest.mark.parametrize("case", UNITS_OF_REFERENCES)
-def test_references_in_other_units_are_refused(log: Log, tmp_path: Path, case: str) -> None:
-    factors, start, end = UNITS_OF_REFERENCES[case]
+@pytest.mark.parametrize(("factors", "start", "end"), UNITS_OF_REFERENCES.values(), ids=UNITS_OF_REFERENCES)
+def test_references_in_other_units_are_refused(
+    log: Log, tmp_path: Path, factors: Any, start: str, end: str
+) -> None:
     path = write_log(log, tmp_path / "walk.csv")
     table = pd.read_csv(path)
     table.assign(**{name: factor * table[name] for name, factor in factors.items()}).to_csv(path, index=False)

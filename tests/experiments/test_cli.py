@@ -206,10 +206,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
         [*walk, path, "--start", "calibrated"],
         "The log's description has no 'calibrated' map; start from 'nominal', or add the map.",
     )
-    fails(
-        [*walk, path, "--settle", "99"],
-        "--settle must be a time of the log, 0 to 0.7375 s, got 99.",
-    )
+    fails([*walk, path, "--settle", "99"], "--settle must be a time of the log, 0 to 0.7375 s, got 99.")
     fails(
         ["calibrate", "ft", "--sample", "--accept", " "],
         "--accept needs the reason why a refusal may be passed; every file that is made says it.",
@@ -255,9 +252,8 @@ BAD_WEIGHINGS = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_WEIGHINGS)
-def test_bad_weighings_are_refused(tmp_path: Path, case: str) -> None:
-    columns, message = BAD_WEIGHINGS[case]
+@pytest.mark.parametrize(("columns", "message"), BAD_WEIGHINGS.values(), ids=BAD_WEIGHINGS)
+def test_bad_weighings_are_refused(tmp_path: Path, columns: dict[str, float], message: str) -> None:
     pd.DataFrame(columns).to_csv(tmp_path / "scales.csv", index=False)
     fails(["calibrate", "weights", tmp_path / "scales.csv"], f"scales.csv: {message}")
 

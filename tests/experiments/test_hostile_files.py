@@ -248,9 +248,8 @@ OPTIONS: dict[str, tuple[Any, dict[str, Any], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", OPTIONS)
-def test_options_are_refused_at_the_door(case: str, robot: Any) -> None:
-    kind, options, message = OPTIONS[case]
+@pytest.mark.parametrize(("kind", "options", "message"), OPTIONS.values(), ids=OPTIONS)
+def test_options_are_refused_at_the_door(kind: Any, options: Any, message: str, robot: Any) -> None:
     inner = {FootSensors: [robot.env.env], SelfCalibration: [robot.env]}.get(kind, [])
     with pytest.raises((TypeError, ValueError), match=re.escape(message)):
         kind(*inner, **options)

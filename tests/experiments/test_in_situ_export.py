@@ -15,11 +15,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration.in_situ import InSituFit, InSituSet, Limb, read_calibration
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-from surefoot.experiments.force_torque.export import (
-    write_json,
-    write_ros2_parameters,
-    write_yaml,
-)
+from surefoot.experiments.force_torque.export import write_json, write_ros2_parameters, write_yaml
 from surefoot.experiments.force_torque.icub import read_matrix, write_icub_matrix
 from surefoot.experiments.force_torque.tables import Calibrated
 from surefoot.sensors.devices.strain_gauge_config import FTSENS_SN039, FTSENS_SN142

@@ -103,10 +103,7 @@ BAD_TABLES: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
         _cell(9, "time_s", 0.05),
         r"set '1': column 'time_s' goes back at row 9 \(0.8 s, then",
     ),
-    "two values at once": (
-        _repeated,
-        "set '1': column 'time_s' is 0.6 s at rows 6 and 7, which differ",
-    ),
+    "two values at once": (_repeated, "set '1': column 'time_s' is 0.6 s at rows 6 and 7, which differ"),
     "set without a name": (_cell(3, "set", np.nan), "column 'set' is empty at row 3"),
     "unknown set": (
         _set_rows("set", 9),
@@ -131,9 +128,8 @@ BAD_TABLES: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", BAD_TABLES)
-def test_a_bad_table_is_refused(name: str, tmp_path: Path) -> None:
-    change, said = BAD_TABLES[name]
+@pytest.mark.parametrize(("change", "said"), BAD_TABLES.values(), ids=BAD_TABLES)
+def test_a_bad_table_is_refused(change: Any, said: str, tmp_path: Path) -> None:
     with pytest.raises(LogError, match=said):
         read_in_situ_log(write(tmp_path, change(table())))
 
@@ -145,9 +141,8 @@ BAD_SPINS = {
 }
 
 
-@pytest.mark.parametrize("name", BAD_SPINS)
-def test_a_gyroscope_that_contradicts_gravity_is_refused(name: str, tmp_path: Path) -> None:
-    factor, said = BAD_SPINS[name]
+@pytest.mark.parametrize(("factor", "said"), BAD_SPINS.values(), ids=BAD_SPINS)
+def test_a_gyroscope_that_contradicts_gravity_is_refused(factor: float, said: str, tmp_path: Path) -> None:
     path = write(tmp_path, _scaled(SPIN, factor)(spinning(table())))
     with pytest.raises(LogError, match=said):
         read_in_situ_log(path)
@@ -162,23 +157,14 @@ def test_milliseconds_are_recognised_beside_a_gyroscope(tmp_path: Path) -> None:
 BAD_CONFIGS = {
     "no TOML": ("[columns\n", r"leg\.toml: not TOML"),
     "unknown table": ("[colums]\n", r"leg\.toml: unknown key 'colums'; there are columns, units, csv"),
-    "unknown key": (
-        '[columns]\nrw = ["a"]\n',
-        "columns: unknown key 'rw'; there are time, set, raw",
-    ),
+    "unknown key": ('[columns]\nrw = ["a"]\n', "columns: unknown key 'rw'; there are time, set, raw"),
     "units that are no table": ("units = 3\n", "units: must be a table of keys with values"),
     "unknown unit": (
         '[units]\nacceleration = "ft"\n',
         r"units.acceleration: Input should be 'm/s\^2', 'g' or 'mg', got 'ft'",
     ),
-    "not three": (
-        '[columns]\ngravity = ["a"]\n',
-        "columns.gravity.1: is missing",
-    ),
-    "not three turns": (
-        '[columns]\nangular_velocity = ["a"]\n',
-        "columns.angular_velocity.1: is missing",
-    ),
+    "not three": ('[columns]\ngravity = ["a"]\n', "columns.gravity.1: is missing"),
+    "not three turns": ('[columns]\nangular_velocity = ["a"]\n', "columns.angular_velocity.1: is missing"),
     "five channels": (f"[columns]\nraw = {RAW[:5]}\n", "columns.raw: needs at least 6, and has 5"),
     "no rotation": (
         "[accelerometer]\nR_sensor_accelerometer = [[2,0,0],[0,1,0],[0,0,1]]\n",
@@ -222,9 +208,8 @@ BAD_CONFIGS = {
 }
 
 
-@pytest.mark.parametrize("name", BAD_CONFIGS)
-def test_a_bad_configuration_is_refused(name: str, tmp_path: Path) -> None:
-    told, said = BAD_CONFIGS[name]
+@pytest.mark.parametrize(("told", "said"), BAD_CONFIGS.values(), ids=BAD_CONFIGS)
+def test_a_bad_configuration_is_refused(told: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(LogError, match=said):
         read_in_situ_log(write(tmp_path, table(), toml(told)))
 

@@ -119,10 +119,7 @@ BAD_MOTIONS: dict[str, tuple[dict[str, Any], str]] = {
         "the IMU 'left_leg' is not fixed to the torso 'base' but to 'left_leg'; name the body that carries "
         "the IMU as motion.torso.",
     ),
-    "one sole": (
-        {"soles": ["left_sole"]},
-        "the description: motion.soles.1: is missing, got ['left_sole'].",
-    ),
+    "one sole": ({"soles": ["left_sole"]}, "the description: motion.soles.1: is missing, got ['left_sole']."),
     "an unknown key": (
         {"delay": 0.02},
         "the description: motion: unknown key 'delay'; there are model, torso, imu, soles, table, dt_s, "
@@ -152,9 +149,8 @@ BAD_MOTIONS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_MOTIONS)
-def test_a_bad_description_of_motion_is_refused(log: Log, tmp_path: Path, case: str) -> None:
-    change, message = BAD_MOTIONS[case]
+@pytest.mark.parametrize(("change", "message"), BAD_MOTIONS.values(), ids=BAD_MOTIONS)
+def test_a_bad_description_of_motion_is_refused(log: Log, tmp_path: Path, change: Any, message: str) -> None:
     path = standing(tmp_path, log, **change)
     message = message.format(folder=tmp_path) if "{folder}" in message else message
     named = message.startswith(("walk.", str(tmp_path)))
@@ -215,9 +211,8 @@ BAD_COLUMNS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_COLUMNS)
-def test_a_bad_table_of_motion_is_refused(log: Log, tmp_path: Path, case: str) -> None:
-    change, message = BAD_COLUMNS[case]
+@pytest.mark.parametrize(("change", "message"), BAD_COLUMNS.values(), ids=BAD_COLUMNS)
+def test_a_bad_table_of_motion_is_refused(log: Log, tmp_path: Path, change: Any, message: str) -> None:
     path = standing(tmp_path, log)
     table = path.with_suffix(".motion.csv")
     change(pd.read_csv(table)).to_csv(table, index=False)
@@ -276,9 +271,8 @@ DRAWINGS = {
 }
 
 
-@pytest.mark.parametrize("case", DRAWINGS)
-def test_a_drawing_that_is_no_robot_is_refused(log: Log, tmp_path: Path, case: str) -> None:
-    drawing, message = DRAWINGS[case]
+@pytest.mark.parametrize(("drawing", "message"), DRAWINGS.values(), ids=DRAWINGS)
+def test_a_drawing_that_is_no_robot_is_refused(log: Log, tmp_path: Path, drawing: str, message: str) -> None:
     path = standing(tmp_path, log)
     (tmp_path / "robot.xml").write_text(drawing)
     assert refusal_of(path).startswith(f"walk.csv: {message}")

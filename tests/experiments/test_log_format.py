@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -175,9 +176,8 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_TABLES)
-def test_a_bad_table_is_refused(full: Log, tmp_path: Path, case: str) -> None:
-    change, message = BAD_TABLES[case]
+@pytest.mark.parametrize(("change", "message"), BAD_TABLES.values(), ids=BAD_TABLES)
+def test_a_bad_table_is_refused(full: Log, tmp_path: Path, change: Change, message: str) -> None:
     path = write_log(full, tmp_path / "walk.csv")
     change(pd.read_csv(path)).to_csv(path, index=False)
     assert refusal_of(path) == f"walk.csv: {message}"
@@ -214,9 +214,8 @@ BAD_DESCRIPTIONS: dict[str, tuple[dict[str, object], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_DESCRIPTIONS)
-def test_a_bad_description_is_refused(log: Log, tmp_path: Path, case: str) -> None:
-    change, message = BAD_DESCRIPTIONS[case]
+@pytest.mark.parametrize(("change", "message"), BAD_DESCRIPTIONS.values(), ids=BAD_DESCRIPTIONS)
+def test_a_bad_description_is_refused(log: Log, tmp_path: Path, change: Any, message: str) -> None:
     path = write_log(log, tmp_path / "walk.csv")
     redescribe(path, **change)
     assert refusal_of(path) == f"walk.csv: {message}"

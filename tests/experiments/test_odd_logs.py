@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -84,9 +85,8 @@ ODD: dict[str, tuple[pd.DataFrame, tuple[str, str, bool]]] = {
 }
 
 
-@pytest.mark.parametrize("name", ODD)
-def test_a_bare_log_says_its_flaw_once(name: str, tmp_path: Path) -> None:
-    table, expected = ODD[name]
+@pytest.mark.parametrize(("table", "expected"), ODD.values(), ids=ODD)
+def test_a_bare_log_says_its_flaw_once(table: pd.DataFrame, expected: Any, tmp_path: Path) -> None:
     table.to_csv(tmp_path / "rig.csv", index=False)
     checked = check_log(tmp_path / "rig.csv")
     assert [said(one) for one in checked.wrong] == [expected]
@@ -111,16 +111,12 @@ def test_a_page_is_drawn_of_a_clock_that_stands_and_of_zeros(tmp_path: Path) -> 
 
 UNREADABLE = {
     "nothing": ("", "log.csv: is empty; a log has a line of column names, and a row a sample."),
-    "names alone": (
-        f"time_s,{CELL}\n",
-        "log.csv: holds no rows of samples, only names of columns.",
-    ),
+    "names alone": (f"time_s,{CELL}\n", "log.csv: holds no rows of samples, only names of columns."),
 }
 
 
-@pytest.mark.parametrize("name", UNREADABLE)
-def test_what_cannot_be_read_says_why(name: str, tmp_path: Path) -> None:
-    text, expected = UNREADABLE[name]
+@pytest.mark.parametrize(("text", "expected"), UNREADABLE.values(), ids=UNREADABLE)
+def test_what_cannot_be_read_says_why(text: str, expected: str, tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text(text)
     with pytest.raises(LogError) as refused:
         check_log(tmp_path / "log.csv")
@@ -236,9 +232,8 @@ WEIGHED = {
 }
 
 
-@pytest.mark.parametrize("name", WEIGHED)
-def test_check_and_calibrate_refuse_the_same_weighings(name: str, tmp_path: Path) -> None:
-    loads, reason = WEIGHED[name]
+@pytest.mark.parametrize(("loads", "reason"), WEIGHED.values(), ids=WEIGHED)
+def test_check_and_calibrate_refuse_the_same_weighings(loads: Any, reason: str, tmp_path: Path) -> None:
     path = tmp_path / "scales.csv"
     counts = [84000 + 100000 * i for i in range(3)]
     pd.DataFrame({"load_kg": loads, CELL: counts}).to_csv(path, index=False)

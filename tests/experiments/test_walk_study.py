@@ -88,12 +88,7 @@ def test_a_new_method_leaves_old_scores_alone(
     folder = shutil.copytree(results.options.out, tmp_path / "walks")
     methods = ("none", "tare", "quasi-static")
     more = dataclasses.replace(results.options, out=folder, scenarios=("speed-0.1",), methods=methods)
-    assert set(run_walk_study(more).scores["method"]) == {
-        TRUE_MAP,
-        "none",
-        "tare",
-        "quasi-static",
-    }
+    assert set(run_walk_study(more).scores["method"]) == {TRUE_MAP, "none", "tare", "quasi-static"}
     assert played == ["quasi-static"]
 
 

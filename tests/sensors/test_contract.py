@@ -272,9 +272,8 @@ def test_a_stream_brings_the_same_with_the_library_and_without(name: str, monkey
     assert one.record == other.record
 
 
-@pytest.mark.parametrize("name", NULL)
-def test_a_null_model_changes_nothing(name: str) -> None:
-    make, kind = NULL[name]
+@pytest.mark.parametrize(("make", "kind"), NULL.values(), ids=NULL)
+def test_a_null_model_changes_nothing(make: Any, kind: Any) -> None:
     stage, rng = make(), np.random.default_rng(0)
     channels = {Imu: 6, ForceTorque: 12}.get(kind, 8)
     state = stage.init((channels,), rng)

@@ -6,21 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from _native import SANITIZED, compile_program, library_of
+from _native import SANITIZED, compile_program
+from _streams import leaves
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surefoot.native import FOLDER, SENSORS, Library, compiler
-from surefoot.sensors import (
-    Fault,
-    ForceTorque,
-    LoadCells,
-    Mechanics,
-    StrainGauges,
-    Wire,
-    load_cells,
-    preset,
-)
+from surefoot.native import FOLDER, Library, compiler
+from surefoot.sensors import Fault, ForceTorque, LoadCells, Mechanics, StrainGauges, Wire, load_cells, preset
 from surefoot.sensors.devices.native_device import NativeDevice, native_device
 from surefoot.sensors.devices.native_kinds import CELLS, FAULTS, FORCE_TORQUE, STRAIN_GAUGES, Broken
 from surefoot.sensors.faults.channels import KINDS as FAULT_KINDS
@@ -122,11 +114,6 @@ WHOLE = ("whole", "six axes, whole", "gauges, whole", "faults")
 QUICK = ("hx711-load-cells", "slow chips", "shear", "words", "four cells", *WHOLE)
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    return library_of(SENSORS, tmp_path_factory.mktemp("native"))
-
-
 def loads(channels: int, rng: np.random.Generator, bad: bool = True) -> np.ndarray[Any, Any]:
     """Two thousand blocks of feet that are set down and lifted, some of a simulation that blew up."""
     time = np.arange(SAMPLES * SUBSTEPS) * DT / SUBSTEPS
@@ -144,10 +131,6 @@ def loads(channels: int, rng: np.random.Generator, bad: bool = True) -> np.ndarr
 
 def of_library(library: Library | None, config: Any) -> NativeDevice | None:
     return native_device(library, KINDS[type(config)], config)
-
-
-def leaves(state: Any) -> list[Any]:
-    return [leaf for part in state for leaf in leaves(part)] if isinstance(state, tuple) else [state]
 
 
 def same(expected: Any, found: Any) -> None:

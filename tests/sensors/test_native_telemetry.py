@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from _native import SANITIZED, compile_program, library_of
+from _native import SANITIZED, compile_program
 
 from surefoot.native import SENSORS, Record, compiler
 from surefoot.sensors import Encoders, Imu, Link, preset
@@ -36,11 +36,6 @@ TABLE = {
     "jitter that holds packets up": (4, Imu(), Encoders(), Link(delay=0.02, jitter=0.04), 0.01, 2),
     "late": (40, Imu(), Encoders(), Link(rate=150.0, delay=0.2, jitter=0.01), 1 / 80, 10),
 }
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory):
-    return library_of(SENSORS, tmp_path_factory.mktemp("native"))
 
 
 class Motion:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from _native import library_of
 
 from surefoot.native import SENSORS, Library
 from surefoot.sensors.randomness import AHEAD, Stream, philox, uniform
@@ -17,11 +16,6 @@ VECTORS = [
     ("ffffffff ffffffff ffffffff ffffffff", "ffffffff ffffffff", "408f276d 41c83b0e a20bc7c6 6d5451fd"),
     ("243f6a88 85a308d3 13198a2e 03707344", "a4093822 299f31d0", "d16cfe09 94fdcceb 5001e420 24126ea1"),
 ]
-
-
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    return library_of(SENSORS, tmp_path_factory.mktemp("native"))
 
 
 @pytest.fixture(params=["C", "Python"])
