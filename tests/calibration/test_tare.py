@@ -11,6 +11,14 @@ def tared(log, **options):
     return replay(LAYOUT, "tare", log.raw, log.reference, DT, mass=MASS, initial=NOMINAL, lag=0, **options)
 
 
+def in_the_air():
+    """Give the method, its first state, and the reference of a robot that hangs."""
+    method = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
+    log = walk(0, duration=0.0)
+    reference = Reference(*(part[0] for part in log.reference))._replace(swing=np.ones(2, bool))
+    return method.update, method.init(log.raw[0]), reference, log.raw[0]
+
+
 def test_constant_offsets_are_found_exactly():
     log = walk(3, faults=Faults(offset=1.5), duration=6.0)
     np.testing.assert_allclose(tared(log).force[-1], log.force[-1], atol=1e-9)
@@ -53,11 +61,8 @@ def test_a_foot_that_carries_weight_is_not_believed_to_swing():
 
 
 def test_one_loaded_cell_speaks_for_its_foot_and_not_for_the_other():
-    init, update, _ = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
-    log = walk(0, duration=0.0)
-    reference = Reference(*(part[0] for part in log.reference))._replace(swing=np.ones(2, bool))
+    update, state, reference, _ = in_the_air()
     force = np.array([0.2, 0.3, 30.0, 0.1, 0.2, 0.3, 0.4, 0.1])
-    state = init(log.raw[0])
     for _ in range(30):
         state, estimate = update(state, (force - NOMINAL.offset) / NOMINAL.scale, reference, DT)
     np.testing.assert_allclose(estimate.force[:4], force[:4])
@@ -66,11 +71,8 @@ def test_one_loaded_cell_speaks_for_its_foot_and_not_for_the_other():
 
 
 def test_readings_that_do_not_agree_are_no_zero():
-    init, update, _ = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
+    update, state, reference, _ = in_the_air()
     rng = np.random.default_rng(0)
-    log = walk(0, duration=0.0)
-    reference = Reference(*(part[0] for part in log.reference))._replace(swing=np.ones(2, bool))
-    state = init(log.raw[0])
     for _ in range(30):
         force = rng.normal(size=8) * 3.0
         state, estimate = update(state, (force - NOMINAL.offset) / NOMINAL.scale, reference, DT)
@@ -97,11 +99,8 @@ test_options_without_meaning_are_refused = refusals(
 
 
 def test_a_gap_begins_the_count_anew():
-    init, update, _ = online_method("tare", OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=0))
-    log = walk(0, duration=0.0)
-    reference = Reference(*(part[0] for part in log.reference))._replace(swing=np.ones(2, bool))
-    state = init(log.raw[0])
+    update, state, reference, raw = in_the_air()
     for dt in [DT] * 8 + [10.0]:
-        state, _ = update(state, log.raw[0], reference, dt)
+        state, _ = update(state, raw, reference, dt)
     assert (state.airborne == 1).all()
     assert (state.count == 0).all()

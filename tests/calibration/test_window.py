@@ -23,7 +23,6 @@ from surefoot.calibration.window.config import Window
 from surefoot.calibration.window.gauss_newton import Weights, gauss_newton, linearise
 
 WEIGHTS = Weights(force=2.0, cop=100.0, threshold=5.0)
-IDENTITY = Parameters(np.ones(8), np.zeros(8))
 FREE = {
     "standing_start": False, "scale_step": 10.0, "offset_step": 10.0, "scale_step_bound": 0.5,
     "offset_step_bound": 0.5, "scale_rate": 100.0, "offset_rate": 100.0, "gross_error": 10.0,

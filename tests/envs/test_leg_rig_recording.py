@@ -31,17 +31,22 @@ def expected_wrench(recording: RigRecording, sensor: str, *, gravity=None) -> np
     return np.hstack([force, torque])
 
 
+def gravity_wrench(recording: RigRecording, sensor: str) -> np.ndarray:
+    gravity = -recording.specific_force
+    limb, com = getattr(recording, f"limb_{sensor}"), getattr(recording, f"added_com_{sensor}")
+    mass_com = limb.mass_com + recording.added_mass * com
+    return np.hstack([(limb.mass + recording.added_mass) * gravity, np.cross(mass_com, gravity)])
+
+
 @pytest.mark.parametrize("sensor", ["foot", "leg"])
 def test_at_rest_wrenches_are_the_gravity_of_limb_and_added_mass(sensor):
     for recording in record_rig(at_rest=True, **SHORT):
         gravity = -recording.specific_force
         np.testing.assert_allclose(np.linalg.norm(gravity, axis=1), 9.81, rtol=1e-12)
         np.testing.assert_allclose(getattr(recording, f"gravity_{sensor}"), gravity, atol=1e-12)
-        limb, com = getattr(recording, f"limb_{sensor}"), getattr(recording, f"added_com_{sensor}")
-        mass = limb.mass + recording.added_mass
-        mass_com = limb.mass_com + recording.added_mass * com
-        expected = np.hstack([mass * gravity, np.cross(mass_com, gravity)])
-        np.testing.assert_allclose(getattr(recording, f"wrench_{sensor}"), expected, atol=1e-10)
+        np.testing.assert_allclose(
+            getattr(recording, f"wrench_{sensor}"), gravity_wrench(recording, sensor), atol=1e-10
+        )
 
 
 @pytest.mark.parametrize("sensor", ["foot", "leg"])

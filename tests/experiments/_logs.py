@@ -1,6 +1,7 @@
 """Commands that run in this process, and logs that are changed on the disk."""
 
 import json
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -61,3 +62,19 @@ def write_motion(log: Log, motion: pd.DataFrame, path: Path, description: dict[s
     beside = {"table": path.with_suffix(".motion.csv").name}
     redescribe(path, lag_samples=None, motion=beside | description)
     return path
+
+
+Change = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+def with_cell(row: int | slice, column: str, value: object) -> Change:
+    def change(frame: pd.DataFrame) -> pd.DataFrame:
+        frame = frame.astype({column: object})
+        frame.loc[row, column] = value
+        return frame
+
+    return change
+
+
+def scaled(columns: Iterable[str], factor: float) -> Change:
+    return lambda frame: frame.assign(**{name: factor * frame[name] for name in columns})

@@ -219,3 +219,14 @@ def bag(ros: Any, recorded_walk: RecordedWalk, tmp_path_factory: pytest.TempPath
     path = ros.write(path, topics_of(recorded_walk), seed=1)
     path.with_suffix(".topics.toml").write_text(guess_topics(path, walk=True))
     return path
+
+
+@pytest.fixture
+def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave a walk's page out, whose figures take seconds."""
+    monkeypatch.setattr("surefoot.experiments.walking.calibrate.write_walking_page", lambda path, facts: path)
+
+
+@pytest.fixture(scope="session")
+def bad_start(walks: dict[str, Log]) -> Log:
+    return dataclasses.replace(walks["bad-start"], truth=None)

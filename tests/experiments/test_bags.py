@@ -17,7 +17,6 @@ from surefoot.experiments.force_torque.log import read_in_situ_log
 from surefoot.experiments.instrument.check import check_log
 from surefoot.experiments.logs.bag import Series, guess_topics, read_bag
 from surefoot.experiments.logs.format import Log, read_log, write_log
-from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking.calibrate import standard_deviations
 
 pytest.importorskip("rosbags", reason="needs rosbags: pip install surefoot[ros]")
@@ -90,10 +89,7 @@ def test_a_given_offset_goes_before_what_is_found(bag: Path, tmp_path: Path, off
 
 
 @one_format
-def test_the_command_reads_a_bag_and_writes_ros2_parameters(
-    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
+def test_the_command_reads_a_bag_and_writes_ros2_parameters(bag: Path, tmp_path: Path, no_page: None) -> None:
     result = run("calibrate", "walk", bag, "--method", "tare", "--ros2", "--out", tmp_path)
     assert f"Note: {bag.name}: '/imu': " in result.stdout
     told = json.loads((tmp_path / "walk.tare.json").read_text())

@@ -26,12 +26,6 @@ def calibrate(log: Log, folder: Path, method: str = "none", **options: Any) -> C
     return calibrate_log(log, method, folder=folder, stem="walk", file="walk.csv", **options)
 
 
-@pytest.fixture
-def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the page out, whose figures take seconds."""
-    monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
-
-
 def balanced(log: Log) -> Log:
     """Stand still and upright over the middle of the cells, which share the weight and make some noise."""
     n = len(log)

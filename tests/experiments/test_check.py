@@ -36,13 +36,8 @@ def test_noise_and_drift_are_those_that_were_put_in() -> None:
     assert found.walk == pytest.approx(1.0, rel=0.15)
 
 
-@pytest.fixture(scope="module")
-def walk(walks: dict[str, Log]) -> Log:
-    return dataclasses.replace(walks["bad-start"], truth=None)
-
-
-def test_a_sound_walk_is_sound(walk: Log, tmp_path: Path, undrawn: None) -> None:
-    found = check(write_log(walk, tmp_path / "walk.parquet"), 0)
+def test_a_sound_walk_is_sound(bad_start: Log, tmp_path: Path, undrawn: None) -> None:
+    found = check(write_log(bad_start, tmp_path / "walk.parquet"), 0)
     assert (found["sound"], found["kind"]) == (True, "walk")
     assert found["tables"]["wrong"]["rows"] == []
     rows = found["tables"]["channels"]["rows"]
@@ -50,22 +45,24 @@ def test_a_sound_walk_is_sound(walk: Log, tmp_path: Path, undrawn: None) -> None
     assert all(row["step"] == 1 for row in rows)
 
 
-def test_what_goes_wrong_on_the_way_is_named_with_its_time(walk: Log, tmp_path: Path, undrawn: None) -> None:
-    late = walk.time >= 10.0
-    raw = np.where(late[:, None], np.roll(walk.raw, 4, axis=1), walk.raw)
-    found = check(write_log(dataclasses.replace(walk, raw=raw), tmp_path / "walk.parquet"), 3)
+def test_what_goes_wrong_on_the_way_is_named_with_its_time(
+    bad_start: Log, tmp_path: Path, undrawn: None
+) -> None:
+    late = bad_start.time >= 10.0
+    raw = np.where(late[:, None], np.roll(bad_start.raw, 4, axis=1), bad_start.raw)
+    found = check(write_log(dataclasses.replace(bad_start, raw=raw), tmp_path / "walk.parquet"), 3)
     wrong = found["tables"]["wrong"]["rows"][0]
     assert wrong["what"] == "feet exchanged"
     assert float(wrong["since"].removeprefix("about ").removesuffix(" s")) == pytest.approx(10.0, abs=0.3)
     assert wrong["what would settle it"].startswith("Lift the left foot")
 
 
-def test_a_channel_that_dies(walk: Log, tmp_path: Path, undrawn: None) -> None:
-    raw = walk.raw.copy()
+def test_a_channel_that_dies(bad_start: Log, tmp_path: Path, undrawn: None) -> None:
+    raw = bad_start.raw.copy()
     raw[700:, 3] = raw[700, 3]
-    found = check(write_log(dataclasses.replace(walk, raw=raw), tmp_path / "walk.csv"), 3)
+    found = check(write_log(dataclasses.replace(bad_start, raw=raw), tmp_path / "walk.csv"), 3)
     wrong = found["tables"]["wrong"]["rows"][0]
-    assert (wrong["what"], wrong["since"]) == ("constant", f"{walk.time[700]:.6g} s")
+    assert (wrong["what"], wrong["since"]) == ("constant", f"{bad_start.time[700]:.6g} s")
 
 
 def test_a_log_that_its_command_cannot_read_is_shown(log: Log, tmp_path: Path, undrawn: None) -> None:

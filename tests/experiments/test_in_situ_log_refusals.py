@@ -1,6 +1,5 @@
 """In-situ logs that are refused, with the way out."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from _in_situ_logs import FORCE, RAW, SPIN, spinning, table, toml, write
+from _logs import Change, scaled, with_cell
 
 from surefoot.calibration import GRAVITY
 from surefoot.experiments.force_torque.config import InSituConfig
@@ -15,29 +15,11 @@ from surefoot.experiments.force_torque.log import read_in_situ_log
 from surefoot.experiments.logs.format import LogError
 
 
-def _scaled(columns: list[str], factor: float) -> Callable[[pd.DataFrame], pd.DataFrame]:
-    def change(frame: pd.DataFrame) -> pd.DataFrame:
-        frame[columns] = factor * frame[columns]
-        return frame
-
-    return change
-
-
-def _cell(row: int, column: str, value: Any) -> Callable[[pd.DataFrame], pd.DataFrame]:
-    def change(frame: pd.DataFrame) -> pd.DataFrame:
-        if isinstance(value, str):
-            frame[column] = frame[column].astype(object)
-        frame.loc[row, column] = value
-        return frame
-
-    return change
-
-
-def _column(column: str, value: Any) -> Callable[[pd.DataFrame], pd.DataFrame]:
+def _column(column: str, value: Any) -> Change:
     return lambda frame: frame.assign(**{column: value})
 
 
-def _set_rows(column: str, values: Any, number: int = 2) -> Callable[[pd.DataFrame], pd.DataFrame]:
+def _set_rows(column: str, values: Any, number: int = 2) -> Change:
     def change(frame: pd.DataFrame) -> pd.DataFrame:
         frame.loc[frame["set"] == number, column] = values
         return frame
@@ -45,17 +27,7 @@ def _set_rows(column: str, values: Any, number: int = 2) -> Callable[[pd.DataFra
     return change
 
 
-def _saturated(frame: pd.DataFrame) -> pd.DataFrame:
-    frame.loc[60:63, RAW[4]] = 32767.0
-    return frame
-
-
-def _repeated(frame: pd.DataFrame) -> pd.DataFrame:
-    frame.loc[7, "time_s"] = frame.loc[6, "time_s"]
-    return frame
-
-
-BAD_TABLES: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
+BAD_TABLES: dict[str, tuple[Change, str]] = {
     "no time": (
         lambda f: f.drop(columns="time_s"),
         r"leg\.csv: missing column time_s for the time .*there are 'set', 'raw_0_count'.*\[columns\]",
@@ -77,8 +49,11 @@ BAD_TABLES: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
         "has both gravity_x_m_s2 and specific_force_x_m_s2",
     ),
     "no rows": (lambda f: f.iloc[:0], r"leg\.csv: holds no rows"),
-    "text": (_cell(3, RAW[1], "1.5.2"), "column 'raw_1_count' holds '1.5.2' at row 3, which is no number"),
-    "infinite": (_cell(4, FORCE[0], np.inf), "column 'specific_force_x_m_s2' is infinite at row 4"),
+    "text": (
+        with_cell(3, RAW[1], "1.5.2"),
+        "column 'raw_1_count' holds '1.5.2' at row 3, which is no number",
+    ),
+    "infinite": (with_cell(4, FORCE[0], np.inf), "column 'specific_force_x_m_s2' is infinite at row 4"),
     "dead channel": (
         _set_rows(RAW[5], np.nan),
         "set '2': column 'raw_5_count' holds no value in 40 of 40 rows .* check its cable",
@@ -89,22 +64,25 @@ BAD_TABLES: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     ),
     "stuck channel": (_set_rows(RAW[5], 17.0), "set '2': column 'raw_5_count' is 17 in all 40 readings"),
     "saturated": (
-        _saturated,
+        with_cell(slice(60, 63), RAW[4], 32767.0),
         "set '2': column 'raw_4_count' stands at 32767, the end of its range, in 10 % of its readings",
     ),
     "in g": (
-        _scaled(FORCE, 1.0 / GRAVITY),
+        scaled(FORCE, 1.0 / GRAVITY),
         r"set '1': .* median length of 1 m/s\^2.*units.acceleration = 'g'",
     ),
-    "in milli-g": (_scaled(FORCE, 1e3 / GRAVITY), "units.acceleration = 'mg'"),
-    "in mm/s^2": (_scaled(FORCE, 1e3), r"it looks like mm/s\^2"),
-    "no known unit": (_scaled(FORCE, 0.3), r"give m/s\^2 with gravity in it"),
+    "in milli-g": (scaled(FORCE, 1e3 / GRAVITY), "units.acceleration = 'mg'"),
+    "in mm/s^2": (scaled(FORCE, 1e3), r"it looks like mm/s\^2"),
+    "no known unit": (scaled(FORCE, 0.3), r"give m/s\^2 with gravity in it"),
     "time goes back": (
-        _cell(9, "time_s", 0.05),
+        with_cell(9, "time_s", 0.05),
         r"set '1': column 'time_s' goes back at row 9 \(0.8 s, then",
     ),
-    "two values at once": (_repeated, "set '1': column 'time_s' is 0.6 s at rows 6 and 7, which differ"),
-    "set without a name": (_cell(3, "set", np.nan), "column 'set' is empty at row 3"),
+    "two values at once": (
+        with_cell(7, "time_s", 0.6),
+        "set '1': column 'time_s' is 0.6 s at rows 6 and 7, which differ",
+    ),
+    "set without a name": (with_cell(3, "set", np.nan), "column 'set' is empty at row 3"),
     "unknown set": (
         _set_rows("set", 9),
         r"leg\.csv: the TOML file names set '2', which is not in the log; there are '1', '9', '3'",
@@ -143,13 +121,13 @@ BAD_SPINS = {
 
 @pytest.mark.parametrize(("factor", "said"), BAD_SPINS.values(), ids=BAD_SPINS)
 def test_a_gyroscope_that_contradicts_gravity_is_refused(factor: float, said: str, tmp_path: Path) -> None:
-    path = write(tmp_path, _scaled(SPIN, factor)(spinning(table())))
+    path = write(tmp_path, scaled(SPIN, factor)(spinning(table())))
     with pytest.raises(LogError, match=said):
         read_in_situ_log(path)
 
 
 def test_milliseconds_are_recognised_beside_a_gyroscope(tmp_path: Path) -> None:
-    path = write(tmp_path, _scaled(["time_s"], 1e3)(spinning(table())))
+    path = write(tmp_path, scaled(["time_s"], 1e3)(spinning(table())))
     with pytest.raises(LogError, match=r"column 'time_s' steps by 100 s.* say units.time = 'ms'"):
         read_in_situ_log(path)
 

@@ -15,7 +15,6 @@ from surefoot.calibration import CalibrationRefused
 from surefoot.experiments import write_log
 from surefoot.experiments.logs.checks import LISTED
 from surefoot.experiments.logs.format import Log, read_log
-from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking.calibrate import calibrate_log
 from surefoot.experiments.walking.claims import claims_of, fit_claims
 from surefoot.experiments.walking.hypotheses import hypotheses
@@ -27,11 +26,6 @@ from surefoot.experiments.walks.replay import starting_map
 def spoilt(benchmark_script: Callable[[str], ModuleType]) -> ModuleType:
     """The mistakes that are counted for the docs."""
     return benchmark_script("spoilt_logs")
-
-
-@pytest.fixture(scope="module")
-def bad_start(walks: dict[str, Log]) -> Log:
-    return dataclasses.replace(walks["bad-start"], truth=None)
 
 
 def judge(log: Log) -> Verdict:
@@ -131,9 +125,8 @@ class TestCommand:
         assert [one.name for one in tmp_path.iterdir()] == ["walk.parquet"]
 
     def test_with_a_reason_it_goes_on(
-        self, spoilt: ModuleType, bad_start: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, spoilt: ModuleType, bad_start: Log, tmp_path: Path, no_page: None
     ) -> None:
-        monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
         options: dict[str, Any] = {"folder": tmp_path, "stem": "walk", "file": "walk.csv"}
         result = calibrate_log(spoil(spoilt, bad_start, "x and y"), "none", accept="a test", **options)
         assert result.notices[0].startswith("walk.csv: accepted (a test): Readings, layout, mass and motion")
@@ -145,10 +138,7 @@ class TestCommand:
         result = run("calibrate", "walk", tmp_path / "walk.csv", "--accept", " ", code=2)
         assert "--accept needs the reason why a refusal may be passed" in result.stderr
 
-    def test_slow_converters_are_told(
-        self, bad_start: Log, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
+    def test_slow_converters_are_told(self, bad_start: Log, tmp_path: Path, no_page: None) -> None:
         raw = bad_start.raw.copy()
         raw[np.arange(len(raw)) % 8 != 0] = np.nan
         log = dataclasses.replace(bad_start, raw=raw)
@@ -176,10 +166,9 @@ class TestFeetAlone:
 
     @pytest.mark.parametrize("contacts", [True, False])
     def test_they_are_tared(
-        self, walks: dict[str, Log], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, contacts: bool
+        self, walks: dict[str, Log], tmp_path: Path, no_page: None, contacts: bool
     ) -> None:
         pd = pytest.importorskip("pandas")
-        monkeypatch.setattr(module, "write_walking_page", lambda path, facts: path)
         log = walks["bad-start"]
         path = feet_alone(dataclasses.replace(log, truth=None), tmp_path / "feet.csv", contacts=contacts)
         result = run("calibrate", "walk", path, "--method", "tare", "--json")

@@ -2,14 +2,13 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from _logs import redescribe, refusal_of, write_motion
+from _logs import Change, redescribe, refusal_of, scaled, write_motion
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration import GRAVITY
@@ -157,15 +156,7 @@ def test_a_bad_description_of_motion_is_refused(log: Log, tmp_path: Path, change
     assert refusal_of(path) == (message if named else f"walk.csv: {message}")
 
 
-def _scaled(prefix: str, factor: float) -> Callable[[pd.DataFrame], pd.DataFrame]:
-    def change(table: pd.DataFrame) -> pd.DataFrame:
-        names = [name for name in table.columns if name.startswith(prefix)]
-        return table.assign(**{name: factor * table[name] for name in names})
-
-    return change
-
-
-BAD_COLUMNS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
+BAD_COLUMNS: dict[str, tuple[Change, str]] = {
     "no column": (
         lambda t: t.drop(columns="joint_left_hip_rad"),
         f"missing column joint_left_hip_rad; {LISTED} A joint without a column is held at an angle by "
@@ -181,12 +172,12 @@ BAD_COLUMNS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
         "only 3 rows have all of joints and IMU, and 8 are needed; write all of them into the same rows.",
     ),
     "degrees": (
-        _scaled("joint_left", 180 / 0.1),
+        scaled(["joint_left_hip_rad"], 180 / 0.1),
         "column 'joint_left_hip_rad' goes to 180, and no hinge turns by more than 6.6 rad; give radians, not "
         "degrees or ticks.",
     ),
     "accelerations in g": (
-        _scaled("accelerometer", 1 / GRAVITY),
+        scaled([f"accelerometer_{axis}_m_s2" for axis in "xyz"], 1 / GRAVITY),
         "columns 'accelerometer_x_m_s2' to '_z_m_s2' have a median length of 1, and a robot on the ground "
         "feels 9.81 m/s^2; give the specific force in m/s^2, gravity included.",
     ),

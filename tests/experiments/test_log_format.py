@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from _logs import redescribe, refusal_of
+from _logs import Change, redescribe, refusal_of, with_cell
 
 from surefoot.calibration import Parameters
 from surefoot.experiments.logs.checks import LISTED
@@ -94,18 +93,6 @@ def test_writing_fails_whole(log: Log, tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["walk.parquet"]
 
 
-Change = Callable[[pd.DataFrame], pd.DataFrame]
-
-
-def _set(row: int, column: str, value: object) -> Change:
-    def change(frame: pd.DataFrame) -> pd.DataFrame:
-        frame = frame.astype({column: object})
-        frame.loc[row, column] = value
-        return frame
-
-    return change
-
-
 BAD_TABLES: dict[str, tuple[Change, str]] = {
     "missing column": (
         lambda t: t.drop(columns=["raw_left_front_left_count"]),
@@ -126,34 +113,34 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
         "references, can be calibrated by --method tare or none.",
     ),
     "text": (
-        _set(4, "reference_com_x_m", "1,5"),
+        with_cell(4, "reference_com_x_m", "1,5"),
         "column 'reference_com_x_m' holds '1,5' at row 4, which is no number; leave the cell empty where no "
         "sample arrived, and check the separator and the decimal point.",
     ),
     "a belief that is not there": (
-        _set(4, "reference_com_x_m", np.nan),
+        with_cell(4, "reference_com_x_m", np.nan),
         "column 'reference_com_x_m' is nan at row 4; drop the row or interpolate the column.",
     ),
     "an infinite reading": (
-        _set(7, "raw_right_rear_right_count", np.inf),
+        with_cell(7, "raw_right_rear_right_count", np.inf),
         "column 'raw_right_rear_right_count' is inf at row 7; write NaN where no sample arrived.",
     ),
     "a flag that is none": (
-        _set(2, "reference_left_stance", 2),
+        with_cell(2, "reference_left_stance", 2),
         "column 'reference_left_stance' is 2.0 at row 2; it must be 0 or 1.",
     ),
     "no quaternion": (
-        _set(9, "reference_left_sole_qw", 2.0),
+        with_cell(9, "reference_left_sole_qw", 2.0),
         "columns 'reference_left_sole_qw' to 'reference_left_sole_qz' have length 2 at row 9; "
         "a rotation is a quaternion (w, x, y, z) of length 1.",
     ),
     "time turns back": (
-        _set(10, "time_s", 0.05),
+        with_cell(10, "time_s", 0.05),
         "column 'time_s' does not increase at row 10 (0.1125 s, then 0.05 s); sort the rows and drop "
         "repeated times.",
     ),
     "time stands still": (
-        _set(10, "time_s", 0.1125),
+        with_cell(10, "time_s", 0.1125),
         "column 'time_s' does not increase at row 10 (0.1125 s, then 0.1125 s); sort the rows and "
         "drop repeated times.",
     ),

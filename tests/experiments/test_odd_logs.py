@@ -141,35 +141,30 @@ def test_what_stands_around_a_table_costs_nothing(name: str, tmp_path: Path) -> 
     assert ("left out" in " ".join(found.notices)) == (name == "a row of units")
 
 
-@pytest.fixture(scope="module")
-def walk(walks: dict[str, Log]) -> Log:
-    return dataclasses.replace(walks["bad-start"], truth=None)
-
-
-def test_a_walk_says_of_its_clock_and_cells_once(walk: Log, tmp_path: Path) -> None:
-    time = walk.time + 3.0 * (walk.time > 6.0)
-    raw = walk.raw.copy()
+def test_a_walk_says_of_its_clock_and_cells_once(bad_start: Log, tmp_path: Path) -> None:
+    time = bad_start.time + 3.0 * (bad_start.time > 6.0)
+    raw = bad_start.raw.copy()
     raw[:, 0] = raw[0, 0]
-    path = write_log(dataclasses.replace(walk, time=time, raw=raw), tmp_path / "walk.parquet")
+    path = write_log(dataclasses.replace(bad_start, time=time, raw=raw), tmp_path / "walk.parquet")
     found = [one.finding.name for one in check_log(path).wrong]
     assert found == ["constant", "gaps"]
 
 
-def test_readings_that_repeat_are_late_and_no_mistake_of_cables(walk: Log) -> None:
+def test_readings_that_repeat_are_late_and_no_mistake_of_cables(bad_start: Log) -> None:
     """Chips of 10 Hz in rows of 80 Hz: readings are up to 90 ms old, and no feet are exchanged."""
-    held = dataclasses.replace(walk, raw=walk.raw[np.arange(len(walk)) // 8 * 8])
+    held = dataclasses.replace(bad_start, raw=bad_start.raw[np.arange(len(bad_start)) // 8 * 8])
     assert not any(one.refuses for one in judge_log(held, held.nominal).findings)
     assert any("repeat the readings of all channels" in one for one in log_notices(held, "walk.csv"))
 
 
-def test_a_cell_that_reads_zero_does_not_weigh(walk: Log) -> None:
-    raw = walk.raw.copy()
+def test_a_cell_that_reads_zero_does_not_weigh(bad_start: Log) -> None:
+    raw = bad_start.raw.copy()
     raw[:, 2] = 0.0  # whose offset alone is seven times the robot's weight
-    check_weight(dataclasses.replace(walk, raw=raw), "nominal", walk.nominal, "walk.csv")
+    check_weight(dataclasses.replace(bad_start, raw=raw), "nominal", bad_start.nominal, "walk.csv")
 
 
-def test_a_mass_in_grams_is_named_by_both_commands(walk: Log, tmp_path: Path) -> None:
-    path = write_log(dataclasses.replace(walk, mass=1e3 * walk.mass), tmp_path / "walk.parquet")
+def test_a_mass_in_grams_is_named_by_both_commands(bad_start: Log, tmp_path: Path) -> None:
+    path = write_log(dataclasses.replace(bad_start, mass=1e3 * bad_start.mass), tmp_path / "walk.parquet")
     assert "kilonewtons or a mass in grams" in run("calibrate", "walk", path, code=2).stderr
     assert "kilonewtons or a mass in grams" in check_log(path).wrong[0].finding.reason
 

@@ -98,5 +98,3 @@ def test_a_map_that_is_not_there_is_refused(log: Log) -> None:
         starting_map(log, "calibrated")
     with pytest.raises(LogError, match=r"starts from 'nominal' or 'calibrated', not from 'factory'\."):
         replay_logs([log], "none", "factory")
-    with pytest.raises(ValueError, match=r"Method 'kalman' does not exist\. Available: 'moment', "):
-        replay_logs([log], "kalman")
