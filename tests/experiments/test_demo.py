@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
+from _logs import run
 
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import read_log
 from surefoot.experiments.study.page import Report
 from surefoot.experiments.walks.options import WalkStudyOptions, demo_options, full_options
@@ -127,8 +126,7 @@ def test_tables_are_files_too(results: WalkStudyResults, report: tuple[Report, s
 def test_one_case_repeated_by_the_command(results: WalkStudyResults, tmp_path: Path) -> None:
     log, settle = str(log_of(results, "bad-start", 1)), str(results.options.settle)
     options = ["--method", "window", "--settle", settle, "--out", str(tmp_path)]
-    result = CliRunner().invoke(app, ["calibrate", "walk", log, *options])
-    assert result.exit_code == 0, result.output
+    result = run("calibrate", "walk", log, *options)
     table = results.yardsticks.set_index(["condition", "seed", "method", "against"])
     expected = 1e3 * table.loc[("bad-start", 1, "window", "truth"), "cop"]
     shown = re.search(r"Errors[\s\S]*?calibrated\s+([\d.]+)", result.stdout)

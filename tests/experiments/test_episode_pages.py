@@ -6,11 +6,10 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from _logs import run
 from _made_episodes import MEANS, episodes, frame_of
 from rich.console import Console
-from typer.testing import CliRunner
 
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes import Episode, EpisodePlan, figures, run_plan, tables
 from surefoot.experiments.episodes.episode import row_of_failure
 from surefoot.experiments.episodes.page import check_episodes, write_evaluation, write_sweep
@@ -18,8 +17,6 @@ from surefoot.experiments.episodes.scores import COMPARISONS
 from surefoot.experiments.episodes.tables import score_table, two_by_two
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.study.tables import Table
-
-RUNNER = CliRunner()
 
 
 def page_of(frame, folder):
@@ -226,13 +223,10 @@ def test_a_study_in_which_all_fails_is_reported(tmp_path: Path) -> None:
 def test_the_command_sweeps_and_reports(tmp_path: Path, undrawn: None) -> None:
     options = ["--controller", "zero", "--feed", "true", "--scenario", "stand", "--duration", "4.1",
                "--seeds", "2", "--first-seed", "4", "--jobs", "1", "--out", str(tmp_path)]  # fmt: skip
-    shown = RUNNER.invoke(app, ["sweep", *options])
-    assert shown.exit_code == 0, shown.output
-    assert "2 episodes run, 0 were there, 0 failed." in shown.stdout
+    assert "2 episodes run, 0 were there, 0 failed." in run("sweep", *options).stdout
     assert (tmp_path / "index.html").is_file()
     assert list(pd.read_parquet(tmp_path / "episodes.parquet")["seed"]) == [4, 5]
-    shown = RUNNER.invoke(app, ["sweep", *options])
-    assert "0 episodes run, 2 were there, 0 failed." in shown.stdout
-    assert "hard-pushes" in RUNNER.invoke(app, ["sweep", "--scenarios"]).stdout
+    assert "0 episodes run, 2 were there, 0 failed." in run("sweep", *options).stdout
+    assert "hard-pushes" in run("sweep", "--scenarios").stdout
     failing = ["math:sqrt", *options[2:-1], str(tmp_path / "failing")]
-    assert RUNNER.invoke(app, ["sweep", "--controller", *failing]).exit_code == 1
+    run("sweep", "--controller", *failing, code=1)

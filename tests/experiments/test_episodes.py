@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from _logs import run
 from _refusals import refusals
-from typer.testing import CliRunner
 
 from surefoot.controllers.policy import PolicyNetwork
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes import Episode, EpisodePlan, plan_from_toml, replay_episode, run_plan
 from surefoot.experiments.episodes import episode as episodes
 from surefoot.experiments.episodes.episode import episode_moments, episode_row
@@ -20,7 +19,6 @@ from surefoot.experiments.episodes.plan import walk_episode
 from surefoot.experiments.episodes.run import EPISODES
 from surefoot.experiments.study.store import StudyError
 
-RUNNER = CliRunner()
 SHORT = EpisodePlan(
     controllers=("stabiliser",),
     feeds=("true", "none"),
@@ -118,8 +116,7 @@ def test_a_file_says_the_same(tmp_path: Path) -> None:
 def test_a_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "sweep.toml"
     path.write_text(text)
-    result = RUNNER.invoke(app, ["sweep", str(path), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 2
+    result = run("sweep", path, "--out", tmp_path / "out", code=2)
     assert result.stderr.startswith("surefoot: ")
     assert message in result.stderr
     assert not (tmp_path / "out").exists()
@@ -147,16 +144,12 @@ def test_sweeping_and_repeating_an_episode(tmp_path: Path, monkeypatch: pytest.M
     assert by_severity[0.0] == 0.0 < by_severity[1.0] < by_severity[2.0]
     replayed = replay_episode(tmp_path / EPISODES, 5)
     assert replayed.different == replayed.other_versions == ()
-    shown = RUNNER.invoke(app, ["replay", str(tmp_path), "--case", "5"])
-    assert shown.exit_code == 0
-    assert shown.stdout.endswith("Identical.\n")
+    assert run("replay", tmp_path, "--case", "5").stdout.endswith("Identical.\n")
 
     table = pd.read_parquet(tmp_path / EPISODES)
     table.loc[table["case"] == 5, "return"] = np.nextafter(rows["return"][5], np.inf)
     table.to_parquet(tmp_path / "other.parquet")
-    shown = RUNNER.invoke(app, ["replay", str(tmp_path / "other.parquet"), "--case", "5"])
-    assert shown.exit_code == 1
-    assert shown.stdout.endswith("Different.\n")
+    assert run("replay", tmp_path / "other.parquet", "--case", "5", code=1).stdout.endswith("Different.\n")
     table.drop(columns="digest").to_parquet(tmp_path / "other.parquet")
     with pytest.raises(
         ValueError, match=r"lacks the column 'digest'.* an earlier version of surefoot wrote it"

@@ -10,11 +10,10 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
+from _logs import run
 from _refusals import refusals
-from typer.testing import CliRunner
 
 from surefoot.controllers import PolicyNetwork, Stabiliser, zero_action
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.episodes import episode as episodes
 from surefoot.experiments.episodes import evaluation_plan, run_episode, run_plan
 from surefoot.experiments.episodes.episode import check_episode
@@ -30,7 +29,6 @@ from surefoot.experiments.study.store import StudyError
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*unconventional shape")
 
-RUNNER = CliRunner()
 SHORT = {"stand_time": 0.1, "duration": 0.6, "payload_time": (0.1, 0.2)}
 WALK = {"speeds": (0.04,), "stand_time": 0.5, "duration": 1.0, "payload_time": (0.1, 0.2)}
 BALANCE = str(files("surefoot.experiments.policy") / "files" / "balance-true" / "policy.npz")
@@ -234,35 +232,27 @@ def test_the_command_compares_and_makes_a_page(tmp_path, invented, undrawn):
     out = tmp_path / "out"
     arguments = ["evaluate", "zero", "shipped", "--feed", "true", "--feed", "none", "--feed", "moment",
                  "--seeds", "3", "--out", str(out)]  # fmt: skip
-    answer = RUNNER.invoke(app, arguments)
-    assert answer.exit_code == 0, answer.output
+    run(*arguments)
     assert len(invented) == 18
     assert [len(pd.read_csv(out / "tables" / f"scores_{i}.csv")) for i in (0, 1)] == [3, 3]
     (out / "index.html").unlink()
-    assert RUNNER.invoke(app, arguments).exit_code == 0
+    run(*arguments)
     assert (out / "index.html").is_file()
     assert len(invented) == 18
-    answer = RUNNER.invoke(app, [*arguments, "--severity", "2"])
-    assert answer.exit_code == 2
-    assert "severities [1.0] and not [2.0]" in answer.output
+    assert "severities [1.0] and not [2.0]" in run(*arguments, "--severity", "2", code=2).output
     page = tmp_path / "page"
-    answer = RUNNER.invoke(app, ["evaluate", "--page-of", f"shipped={out}", "--out", str(page)])
-    assert answer.exit_code == 2
+    answer = run("evaluate", "--page-of", f"shipped={out}", "--out", page, code=2)
     assert "episodes of shipped, zero, which cannot all be called 'shipped'" in answer.output
-    answer = RUNNER.invoke(app, ["evaluate", *["--page-of", str(out)] * 2, "--out", str(page)])
-    assert answer.exit_code == 2
+    answer = run("evaluate", *["--page-of", out] * 2, "--out", page, code=2)
     assert "is there twice; give controllers of different files different names" in answer.output
-    answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(out), "--out", str(page)])
-    assert answer.exit_code == 0, answer.output
+    run("evaluate", "--page-of", out, "--out", page)
     assert "shipped: trained on true feet" in (page / "index.html").read_text(encoding="utf-8")
-    answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(out)])
-    assert "--page-of needs a folder" in answer.output
+    assert "--page-of needs a folder" in run("evaluate", "--page-of", out, code=2).output
     for option in (["zero"], ["--seeds", "50"], ["--feed", "true"], ["--task", "balance"]):
-        answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(out), "--out", str(page), *option])
-        assert answer.exit_code == 2
+        answer = run("evaluate", "--page-of", out, "--out", page, *option, code=2)
         name = "controllers" if option == ["zero"] else option[0]
         assert f"--page-of runs nothing, and {name} says what to run" in answer.output
-    assert RUNNER.invoke(app, ["evaluate", "zero", "--feed", "true", "--seeds", "1"]).exit_code == 0
+    run("evaluate", "zero", "--feed", "true", "--seeds", "1")
 
 
 @pytest.fixture
@@ -272,12 +262,6 @@ def mine(tmp_path):
     folder.mkdir()
     shutil.copy(BALANCE, folder / "policy.npz")
     return folder
-
-
-def scored(*arguments):
-    answer = RUNNER.invoke(app, ["evaluate", *arguments, "--feed", "true", "--seeds", "3"])
-    assert answer.exit_code == 0, answer.output
-    return answer.output
 
 
 def test_what_is_shipped_has_its_card(tmp_path, undrawn):
@@ -292,25 +276,23 @@ def test_what_is_shipped_has_its_card(tmp_path, undrawn):
 
 def test_a_page_says_what_a_policy_was_when_it_was_run(tmp_path, mine, invented, undrawn):
     out, policy = tmp_path / "out", str(mine / "policy.npz")
-    scored(policy, "--out", str(out))
+    run("evaluate", policy, "--feed", "true", "--seeds", "3", "--out", out)
     before = controller_hash(policy)
     assert before == controller_hash("shipped", TASKS["balance"].env_id)
     shipped_policy("randomised").save(policy)
     known = read_episodes(out)
     assert set(known["controller_hash"]) == {before}
     assert set(known["trained"]) == {"true"}
-    answer = RUNNER.invoke(app, ["evaluate", policy, "--feed", "true", "--seeds", "3", "--out", str(out)])
+    answer = run("evaluate", policy, "--feed", "true", "--seeds", "3", "--out", out, code=2)
     assert "holds another study: files" in answer.output.replace("\n", " ")
     other = tmp_path / "other"
-    answer = RUNNER.invoke(app, ["evaluate", policy, "--feed", "none", "--seeds", "3", "--out", str(other)])
-    assert answer.exit_code == 0
+    run("evaluate", policy, "--feed", "none", "--seeds", "3", "--out", other)
     both = ["evaluate", "--page-of", str(out), "--page-of", str(other), "--out", str(tmp_path / "page")]
-    assert "is not the same file everywhere" in RUNNER.invoke(app, both).output
+    assert "is not the same file everywhere" in run(*both, code=2).output
     # A page is made of rows that say nothing of it, too.
     bare = tmp_path / "bare.parquet"
     read_episodes(out)[list(invented_frame().columns)].to_parquet(bare)
-    answer = RUNNER.invoke(app, ["evaluate", "--page-of", str(bare), "--out", str(tmp_path / "bare")])
-    assert answer.exit_code == 0
+    run("evaluate", "--page-of", bare, "--out", tmp_path / "bare")
 
 
 def test_a_policy_that_is_changed_while_it_is_evaluated_is_not_mixed_with_another(mine, monkeypatch):

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import typer
+from _logs import run
 from _refusals import refusals
-from typer.testing import CliRunner
 
 from surefoot.controllers import PolicyFileError, PolicyNetwork
 from surefoot.experiments.episodes import run_episode
@@ -239,22 +238,12 @@ def test_seeds_of_training_are_no_seeds_of_evaluation_and_never_twice_the_same()
 
 
 def test_the_commands(trained, tmp_path):
-    from surefoot.experiments.cli import controllers
-
-    app = typer.Typer()
-    app.command()(controllers.train)
-    app.command()(controllers.evaluate)
-    call = CliRunner().invoke
-    answer = call(app, ["train", "--out", str(trained[0]), "--seed", "1"])
-    assert answer.exit_code == 2
-    assert "another training" in answer.output
-    answer = call(app, ["train", "--export", str(tmp_path / "no.zip"), "--out", str(tmp_path)])
+    assert "another training" in run("train", "--out", trained[0], "--seed", 1, code=2).output
+    answer = run("train", "--export", tmp_path / "no.zip", "--out", tmp_path, code=2)
     assert "There is no file" in answer.output
     (tmp_path / "bad.npz").write_bytes(b"no policy")
-    answer = call(app, ["evaluate", str(tmp_path / "bad.npz")])
-    assert answer.exit_code == 2
-    assert "cannot be read as a policy file" in answer.output
-    answer = call(app, ["evaluate", str(trained[0] / "policy.npz"), "--feed", "sand"])
+    assert "cannot be read as a policy file" in run("evaluate", tmp_path / "bad.npz", code=2).output
+    answer = run("evaluate", trained[0] / "policy.npz", "--feed", "sand", code=2)
     assert "There is no feed 'sand'" in answer.output
 
 

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
+from _logs import run as run_command
 
 from surefoot.calibration import METHODS
-from surefoot.experiments.cli.app import app
 from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.walks import run, scenarios
 from surefoot.experiments.walks.options import WalkStudyOptions
@@ -118,15 +117,12 @@ def test_the_page_holds_everything(results: WalkStudyResults, undrawn: None) -> 
 
 
 @pytest.mark.slow
-def test_the_command(results: WalkStudyResults, tmp_path: Path) -> None:
-    runner = CliRunner()
-    unknown = runner.invoke(app, ["compare", "walking", "--scenario", "moon", "--out", str(tmp_path)])
-    assert unknown.exit_code == 2
-    assert "There is no scenario 'moon'. Available: speed-0.02" in unknown.output
-    unknown = runner.invoke(app, ["compare", "walking", "--method", "magic", "--out", str(tmp_path)])
-    assert unknown.exit_code == 2
-    assert "Method 'magic' does not exist." in unknown.output
-    assert "Table 3" in runner.invoke(app, ["compare", "weights"]).stdout
+def test_the_command(tmp_path: Path) -> None:
+    answer = run_command("compare", "walking", "--scenario", "moon", "--out", tmp_path, code=2)
+    assert "There is no scenario 'moon'. Available: speed-0.02" in answer.output
+    answer = run_command("compare", "walking", "--method", "magic", "--out", tmp_path, code=2)
+    assert "Method 'magic' does not exist." in answer.output
+    assert "Table 3" in run_command("compare", "weights").stdout
 
 
 def test_options_refuse_what_cannot_be_done() -> None:
