@@ -24,5 +24,9 @@ def compile_program(source: Path, target: Path, *flags: str) -> None:
     command = [
         *compiler(), *STRICT, *flags, f"-I{FOLDER}", "-o", str(target), str(source), "-lm"
     ]  # fmt: skip
+    run_program(*command)
+
+
+def run_program(*command: str | Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr

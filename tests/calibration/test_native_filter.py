@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from _ankles import ANKLES
-from _native import SANITIZED, compile_program
+from _native import SANITIZED, compile_program, run_program
 from _native_filters import AT, SAMPLES, Log, same, same_estimate
 from _synthetic import DT, LAYOUT, MASS
 
@@ -295,10 +295,7 @@ def play_garbage(library, program, tmp_path, layout, method):
     (tmp_path / "config").write_bytes(
         native.constants.config.tobytes() + (b"" if own is None else own.tobytes())
     )
-    done = subprocess.run(
-        [program, tmp_path / "config", str(samples), method], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    run_program(program, tmp_path / "config", str(samples), method)
 
 
 @pytest.mark.slow

@@ -73,16 +73,8 @@ def test_published_masses_lie_where_both_sensors_see_them():
     }
     for configuration, com_leg in published_leg.items():
         np.testing.assert_allclose(ADDED_MASSES[configuration].com_leg, com_leg, atol=1e-12)
-    assert [load.mass for load in ADDED_MASSES.values()] == [
-        0,
-        0.703,
-        0.703,
-        0.703,
-        0.51102,
-        0.51102,
-        0,
-        0.51102,
-    ]
+    masses = [0, *[0.703] * 3, *[0.51102] * 2, 0, 0.51102]
+    assert [load.mass for load in ADDED_MASSES.values()] == masses
     # A cube of steel with the published mass is as wide as beam and published places leave room for.
     assert ADDED_MASSES[6].width == pytest.approx(0.0402, abs=5e-5)
     assert ADDED_MASSES[6].inertia == pytest.approx(0.51102 * 0.0402**2 / 6.0, rel=0.01)
@@ -123,15 +115,8 @@ def test_exchanging_the_masses_is_building_another_rig(knee_slack):
     changed = load_leg_rig_spec(2, knee_slack=knee_slack, floor=True).compile()
     place_added_mass(changed, mujoco.MjData(changed), 5)
     built = load_leg_rig_spec(5, knee_slack=knee_slack, floor=True).compile()
-    for name in (
-        "body_mass",
-        "body_pos",
-        "body_inertia",
-        "body_invweight0",
-        "dof_M0",
-        "geom_size",
-        "geom_rbound",
-    ):
+    names = ("body_mass", "body_pos", "body_inertia", "body_invweight0", "dof_M0", "geom_size", "geom_rbound")
+    for name in names:
         np.testing.assert_allclose(getattr(changed, name), getattr(built, name), rtol=1e-9, atol=1e-12)
 
 

@@ -51,17 +51,7 @@ def large(path: Path) -> None:
         file.truncate(LARGEST_TEXT + 1)
 
 
-MOTION = ",".join(
-    [
-        "time_s",
-        "target_knee_rad",
-        "stance_left_1",
-        "stance_right_1",
-        "swing_left_1",
-        "swing_right_1",
-        "rest_1",
-    ]
-)
+MOTION = "time_s,target_knee_rad,stance_left_1,stance_right_1,swing_left_1,swing_right_1,rest_1"
 FILES: dict[str, tuple[str, Any, Any, str]] = {
     "deep JSON in Parquet": (
         "walk.parquet", nested, read_log,

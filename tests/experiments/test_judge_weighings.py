@@ -10,6 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from _logs import fails, redescribe, refusal_of, run, run_for_json
+from _streams import stream
 
 from surefoot.calibration import GRAVITY, Curves
 from surefoot.experiments.logs.columns import raw_names_of
@@ -107,11 +108,8 @@ def loop(share: float, seed: int, drift: float = 0.0) -> Weighings:
     """Weigh a cell with hysteresis, whose loops have a size of their own, up and down."""
     rng, load = np.random.default_rng(seed), GRAVITY * LOOP
     element = hysteresis(share, load.max() * 2.0 ** rng.uniform(0.0, 1.0), smallest=SMALLEST_LOOP)
-    state, felt = element.init((1,), rng), []
-    for now in load:
-        reading, state = element.apply(np.array([now]), state, rng, 0.0)
-        felt.append(reading[0])
-    code = 84000 + 1e4 * (np.array(felt) + drift * np.linspace(0.0, 1.0, len(load)))
+    felt = stream(element, load[:, None], dt=0.0)[:, 0]
+    code = 84000 + 1e4 * (felt + drift * np.linspace(0.0, 1.0, len(load)))
     code = np.rint(code + 30.0 * rng.standard_normal(len(load)))[:, None]
     return Weighings(load, code, ("raw_a_count",), "load_kg", GRAVITY)
 

@@ -1,6 +1,5 @@
 """Logs of joints and IMU: the references made of them are those of the robot's own beliefs."""
 
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,6 @@ from surefoot.experiments.logs.format import read_log
 from surefoot.experiments.logs.motion import count_rows
 from surefoot.experiments.walking.judge import judge_log
 from surefoot.experiments.walks.replay import starting_map
-
-NAO = str(files("surefoot.envs.robots").joinpath("nao.xml"))
-MOTION = ("joint_", "accelerometer_", "gyroscope_")
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from _logs import run
+from _streams import stream
 from numpy.typing import NDArray
 
 import surefoot  # noqa: F401  (registers the environments)
@@ -152,16 +153,11 @@ def test_another_instrument_is_told_apart(twin: Twin, change: dict[str, float]) 
 def test_loops_and_creep_are_those_of_the_stages() -> None:
     time = np.arange(400) / 100.0
     load = np.repeat(np.repeat([0.0, 40.0, 90.0, 10.0, 60.0], 80)[:, None], 2, axis=1)
-    rng = np.random.default_rng(0)
     for element, found in (
         (hysteresis(0.003, 98.1, smallest=SMALLEST_LOOP), 0.003 * loop_of(load, 98.1)),
         (creep((0.003,), (0.5,)), 0.003 * creep_of(time, load, 0.5)),
     ):
-        state, read = element.init((2,), rng), []
-        for now in load:
-            reading, state = element.apply(now, state, rng, 0.01)
-            read.append(reading)
-        np.testing.assert_allclose(np.array(read) - load, found, atol=1e-12)
+        np.testing.assert_allclose(stream(element, load, dt=0.01) - load, found, atol=1e-12)
 
 
 def test_the_command_writes_a_preset_that_feet_take(

@@ -2,31 +2,24 @@
 
 import numpy as np
 import pytest
+from _streams import DT, stream
 
 from surefoot.sensors import chain, quantize, white_noise
 from surefoot.sensors.stages.clock import integrate, latest_conversion, sample_and_hold
 
-DT = 1 / 80
 SUBSTEPS = 10
 WITHIN = (DT / SUBSTEPS) ** 2 * 94.0 / 4.0
 """By how much a mean over steps may differ from one over a straight line, in s."""
 
 
-def ramp(step: int, channels: int) -> np.ndarray:
+def ramps(steps: int, channels: int) -> np.ndarray:
     """Time itself as the signal, at the middle of each substep: a reading is the middle of its conversion."""
-    times = step * DT + (np.arange(SUBSTEPS) + 0.5) * DT / SUBSTEPS
-    return np.repeat(times[:, None], channels, axis=1)
+    times = np.arange(steps)[:, None] * DT + (np.arange(SUBSTEPS) + 0.5) * DT / SUBSTEPS
+    return np.repeat(times[..., None], channels, axis=-1)
 
 
 def converted(rate: tuple[float, float], steps: int, channels: int, seed: int = 0) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    clock = sample_and_hold(chain(), rate)
-    state = clock.init((channels,), rng)
-    rows = []
-    for step in range(steps):
-        held, state = clock.apply(ramp(step, channels), state, rng, DT)
-        rows.append(held)
-    return np.array(rows)
+    return stream(sample_and_hold(chain(), rate), ramps(steps, channels), seed)
 
 
 def test_conversions_come_at_an_even_pace_within_the_rates() -> None:
@@ -58,14 +51,8 @@ def test_chips_are_not_synchronised() -> None:
 
 
 def test_a_chip_without_a_new_conversion_repeats_its_last_to_the_bit() -> None:
-    rng = np.random.default_rng(1)
-    clock = sample_and_hold(white_noise(1.0), (40.0, 40.0))
-    state = clock.init((500,), rng)
-    rows = []
-    for step in range(40):
-        held, state = clock.apply(ramp(step, 500), state, rng, DT)
-        rows.append(held)
-    fresh = np.diff(np.array(rows)[4:], axis=0) != 0.0
+    rows = stream(sample_and_hold(white_noise(1.0), (40.0, 40.0)), ramps(40, 500), seed=1)
+    fresh = np.diff(rows[4:], axis=0) != 0.0
     assert fresh.mean() == pytest.approx(0.5, abs=0.02)
     # At half the host's rate every other reading is new.
     assert (fresh[:-1] != fresh[1:]).all()
@@ -116,11 +103,7 @@ def test_the_integral_of_conversions_is_that_of_the_signal() -> None:
 
 
 def test_conversions_happen_after_the_instrument_not_before_the_hold() -> None:
-    rng = np.random.default_rng(3)
-    clock = sample_and_hold(quantize(0.01), (78.0, 94.0))
-    state = clock.init((8,), rng)
-    for step in range(10):
-        held, state = clock.apply(ramp(step, 8), state, rng, DT)
+    held = stream(sample_and_hold(quantize(0.01), (78.0, 94.0)), ramps(10, 8), seed=3)[-1]
     np.testing.assert_allclose(held, np.round(held / 0.01) * 0.01, atol=1e-12)
 
 

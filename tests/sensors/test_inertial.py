@@ -69,13 +69,7 @@ def test_encoders_have_12_bits_a_turn() -> None:
 
 
 def test_encoders_have_a_constant_offset_and_fresh_noise() -> None:
-    rng = np.random.default_rng(2)
-    stage = encoders(Encoders(bits=0))
-    state = stage.init((MANY,), rng)
-    rows = []
-    for _ in range(2):
-        reading, state = stage.apply(np.zeros(MANY), state, rng, 0.01)
-        rows.append(reading)
+    rows = stream(encoders(Encoders(bits=0)), np.zeros((2, MANY)), seed=2, dt=0.01)
     assert rows[0].std() == pytest.approx((1e-3**2 + 3e-4**2) ** 0.5, rel=0.03)
     assert (rows[1] - rows[0]).std() == pytest.approx(3e-4 * 2**0.5, rel=0.03)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from _chain import load_cell_chain
-from _streams import DT
+from _streams import DT, follow, stream
 
 from surefoot.sensors import LoadCells, Mechanics, Wire, chain, load_cells, preset, sized
 from surefoot.sensors.devices.load_cells import static_counts, true_map
@@ -39,12 +39,7 @@ WARMING = replace(
 
 def read(config: LoadCells, loads: np.ndarray) -> np.ndarray:
     """Read loads of shape (N, K), constant over each step, and return what the host finds in N."""
-    rng, cells, rows = np.random.default_rng(0), load_cells(config), []
-    state = cells.init(loads.shape[1:], rng)
-    for load in loads:
-        counts, state = cells.apply(load[None], state, rng, DT)
-        rows.append(counts)
-    return config.nominal_scale * np.stack(rows) + config.nominal_offset
+    return config.nominal_scale * stream(load_cells(config), loads[:, None]) + config.nominal_offset
 
 
 def spring(**fields) -> LoadCells:
@@ -93,12 +88,8 @@ def test_fused_cells_equal_the_chain_of_their_stages(config: LoadCells) -> None:
 
 
 def test_counts_are_whole_and_scale_24_bits() -> None:
-    rng = np.random.default_rng(2)
-    cells = load_cells(replace(HX711_LOAD_CELLS, channels=8000))
-    state = cells.init((8000,), rng)
-    block = np.repeat(np.linspace(-800.0, 800.0, 1000), 8) * np.ones((10, 1))
-    for _ in range(3):
-        counts, state = cells.apply(block, state, rng, DT)
+    blocks = np.repeat(np.linspace(-800.0, 800.0, 1000), 8) * np.ones((3, 10, 1))
+    counts = stream(load_cells(replace(HX711_LOAD_CELLS, channels=8000)), blocks, seed=2)[-1]
     np.testing.assert_array_equal(counts, np.round(counts))
     assert counts.min() == 0.0
     assert counts.max() == 2.0**24 - 1.0
@@ -134,13 +125,8 @@ def test_errors_at_power_up_have_their_spread() -> None:
 
 
 def test_cells_drift_by_2_percent_and_1_newton_in_a_minute() -> None:
-    rng = np.random.default_rng(6)
     config = replace(HX711_LOAD_CELLS, channels=16_000, initial_scale_std=0.0, initial_offset_std=0.0)
-    cells = load_cells(config)
-    state = cells.init((16_000,), rng)
-    block = np.zeros((1, 16_000))
-    for _ in range(60):
-        _, state = cells.apply(block, state, rng, 1.0)
+    _, state = follow(load_cells(config), np.zeros((60, 1, 16_000)), seed=6, dt=1.0)
     assert state.error[0].std() == pytest.approx(0.02, rel=0.03)
     assert state.error[1].std() == pytest.approx(1.0, rel=0.03)
     assert config.offset_drift == pytest.approx(PER_SQRT_MINUTE)
@@ -268,11 +254,8 @@ def test_noise_is_that_of_one_conversion_with_and_without_a_filter():
 def test_a_chip_that_skips_a_look_does_not_lead_its_cell_astray():
     """Slow chips, most of whose looks find nothing new: no spring element sees a load that never was."""
     config = replace(spring(overload_share=1.0, safe_overload=0.2), channels=4000, rate=(9.0, 11.0))
-    rng, cells = np.random.default_rng(6), load_cells(config)
-    state = cells.init((4000,), rng)
-    for k in range(300):
-        load = 10.0 + 9.0 * np.sin(2.0 * k * DT)
-        _, state = cells.apply(np.full((10, 4000), load), state, rng, DT)
+    loads = 10.0 + 9.0 * np.sin(2.0 * np.arange(300) * DT)
+    _, state = follow(load_cells(config), np.broadcast_to(loads[:, None, None], (300, 10, 4000)), seed=6)
     assert state.mechanics.overload.excess.max() == 0.0
 
 
@@ -296,16 +279,11 @@ def test_cells_of_the_reference_robot_stay_as_they_are():
 def test_larger_cells_read_larger_loads_alike(config):
     """In shares of the weight everything but the drawn spikes is the same, sample by sample."""
     config, factor = replace(config, wire=replace(config.wire, spike_rate=0.0, wrong_words=0.0)), 8.0
-    shares = []
+    load, shares = (1.0 + np.sin(0.4 * np.arange(60)))[:, None, None] * np.ones((4, 8)) / 8.0, []
     for weight in (REFERENCE_WEIGHT, factor * REFERENCE_WEIGHT):
         larger = sized(config, weight)
-        rng, cells = np.random.default_rng(4), load_cells(larger)
-        state, rows = cells.init((8,), rng), []
-        for k in range(60):
-            load = weight / 8.0 * (1.0 + np.sin(0.4 * k))
-            counts, state = cells.apply(np.full((4, 8), load), state, rng, 0.02)
-            rows.append((larger.nominal_scale * counts + larger.nominal_offset) / weight)
-        shares.append(np.stack(rows))
+        counts = stream(load_cells(larger), weight * load, seed=4, dt=0.02)
+        shares.append((larger.nominal_scale * counts + larger.nominal_offset) / weight)
     np.testing.assert_allclose(shares[1], shares[0], rtol=1e-9, atol=1e-9)
 
 

@@ -1,12 +1,11 @@
 """Devices in C against the Python that specifies them: the same counts and states, sample by sample."""
 
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from _native import SANITIZED, compile_program
+from _native import SANITIZED, compile_program, run_program
 from _streams import leaves
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -302,8 +301,4 @@ def test_garbage_stays_within_the_arrays(library: Library, tmp_path: Path, name:
     (tmp_path / "state").write_bytes(state.now.tobytes())
     source = Path(__file__).parent / "fuzz_devices.c"
     compile_program(source, tmp_path / "fuzz", f"-D{kind.name.upper()}", *SANITIZED)
-    done = subprocess.run(
-        [tmp_path / "fuzz", tmp_path / "config", tmp_path / "state", "200000"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
+    run_program(tmp_path / "fuzz", tmp_path / "config", tmp_path / "state", "200000")

@@ -5,6 +5,7 @@ from operator import call
 import numpy as np
 import pytest
 from _refusals import refusals
+from _streams import stream
 
 from surefoot.sensors import chain, drift, offset, quantize, saturate, scale, scale_drift, white_noise
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
@@ -14,12 +15,7 @@ MANY = 20_000
 
 def walk(stage, seconds: float, dt: float, value: float, seed: int = 0) -> np.ndarray:
     """Let many devices wander and return their last readings of a constant."""
-    rng = np.random.default_rng(seed)
-    state = stage.init((MANY,), rng)
-    reading = np.full(MANY, value)
-    for _ in range(round(seconds / dt)):
-        result, state = stage.apply(reading, state, rng, dt)
-    return result
+    return stream(stage, np.full((round(seconds / dt), MANY), value), seed, dt)[-1]
 
 
 @pytest.mark.parametrize("dt", [1 / 80, 1 / 20, 1.0])
