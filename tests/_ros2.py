@@ -68,5 +68,4 @@ def run(program: Path, parameters: Path, lines: Iterable[str] = ()) -> list[list
 
 
 def spoken(time_ns: int, topic: str, values: Any = ()) -> str:
-    """Return the line of a message."""
     return " ".join([str(time_ns), topic, *map(repr, map(float, values))])

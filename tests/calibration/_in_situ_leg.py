@@ -25,7 +25,6 @@ def sound_fit():
 
 
 def with_raw(one, change):
-    """Return a set whose readings a function has changed."""
     raw = one.raw.copy()
     change(raw)
     return replace(one, raw=raw)

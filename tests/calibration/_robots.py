@@ -24,7 +24,6 @@ def stream(method, raw, reference, state=None, dt=DT):
 
 
 def fleet(seeds, speeds=(0.02, 0.04, 0.1), faults=BAD, **options):
-    """Walks of several robots."""
     return [walk(seed, speed, faults=faults, **options) for speed in speeds for seed in seeds]
 
 
@@ -33,5 +32,4 @@ def calibrated(raw, reference, faults=BAD, name="moment", **options):
 
 
 def rows_between(reference, start, end):
-    """A reference's samples from ``start`` on, before ``end``."""
     return Reference(*(part[start:end] for part in reference))

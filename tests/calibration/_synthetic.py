@@ -114,7 +114,6 @@ def walk(
 
 
 def believed_mass(faults: Faults) -> float:
-    """The mass that the robot believes."""
     return MASS * (1.0 + faults.mass)
 
 

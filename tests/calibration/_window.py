@@ -15,7 +15,6 @@ def run(log, method="window", faults=None, **options):
 
 
 def at_rest(samples, log=None):
-    """Repeat the first sample of a log."""
     log = log or walk(0, duration=0.0)
     return np.repeat(log.raw[:1], samples, axis=0), Reference(
         *(np.repeat(part[:1], samples, axis=0) for part in log.reference)

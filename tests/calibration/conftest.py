@@ -9,7 +9,6 @@ def sensor(request):
 
 @pytest.fixture(scope="session")
 def single(tmp_path_factory):
-    """The library of calibrators in single precision."""
     from surefoot.native import CALIBRATION
     from surefoot.native.build import FLAGS
 

@@ -25,7 +25,6 @@ def build(name, lag=LAG, **options):
 
 @pytest.fixture(scope="module")
 def logs():
-    """Three walks."""
     return [walk(seed, 0.1, 6.0, 0.5, Faults.bad()) for seed in range(3)]
 
 

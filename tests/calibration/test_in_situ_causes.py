@@ -20,7 +20,6 @@ from surefoot.calibration.results import CalibrationRefused
 
 
 def evidence_of(sets, **options):
-    """What causes of some sets are judged by."""
     return _gather_evidence(Task(tuple(sets), options=InSituOptions(**options)), tuple(sets))
 
 
@@ -197,7 +196,6 @@ def test_a_zero_that_follows_is_named_first_and_found():
 
 
 def find_number(words, error):
-    """Find the number of the likeliest cause in a message."""
     return float(re.search(words, re.search(r"Likeliest: (.*?) \(", str(error))[1])[1])
 
 

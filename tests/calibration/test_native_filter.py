@@ -288,7 +288,6 @@ def test_the_library_is_the_python_of_other_methods(library, method, layout, lag
 
 
 def play_garbage(library, program, tmp_path, layout, method):
-    """Feed garbage to a program with sanitizers."""
     samples = 20_000 if method == "window" else 100_000
     _, native = robot(library, layout, method=method)
     own = native.constants.own

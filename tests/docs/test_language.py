@@ -67,7 +67,6 @@ class Spoken(NamedTuple):
 
 @cache
 def spoken() -> Spoken:
-    """Read all files."""
     found, texts = Spoken([], {}), set[str]()
     for file in sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")):
         path = str(file.relative_to(ROOT))

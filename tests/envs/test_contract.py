@@ -38,7 +38,6 @@ def actions(env: Any) -> np.ndarray:
 
 
 def roll(env: Any, seed: int) -> list[Any]:
-    """All that an episode returns."""
     observation, info = env.reset(seed=seed)
     returned = [(observation, info["surefoot"]["truth"])]
     for action in actions(env):

@@ -16,7 +16,6 @@ from surefoot.envs import FeetTruth, InstrumentedEnv, instrument, load_robot_spe
 
 @pytest.fixture
 def path(tmp_path):
-    """A place for a toy's description."""
     return tmp_path / "toy.xml"
 
 

@@ -14,7 +14,6 @@ from surefoot.envs import InstrumentedEnv, instrument
 
 @pytest.fixture
 def path(tmp_path):
-    """A place for a toy's description."""
     return tmp_path / "toy.xml"
 
 

@@ -111,7 +111,6 @@ def topics_of(walk: Any) -> list[Topic]:
 
 
 def describe(path: Path, walk: Any, **changes: Any) -> None:
-    """Write a log's description beside it."""
     write_log(walk.log, path.with_suffix(".csv"))
     path.with_suffix(".csv").unlink()
     motion = {key: value for key, value in walk.description.items() if key not in ("delay_s", "dt_s")}

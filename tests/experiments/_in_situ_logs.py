@@ -43,7 +43,6 @@ def toml(extra: str = "", sets: bool = True) -> str:
 
 
 def write(folder: Path, frame: pd.DataFrame, told: str | None = None) -> Path:
-    """Write a log with its TOML file."""
     path = folder / "leg.csv"
     frame.to_csv(path, index=False)
     path.with_suffix(".toml").write_text(toml() if told is None else told)

@@ -40,7 +40,6 @@ def fails(arguments: list[Any], message: str) -> None:
 
 
 def refusal_of(path: Path) -> str:
-    """Return why a log is refused."""
     with pytest.raises(LogError) as refused:
         read_log(path)
     return str(refused.value)

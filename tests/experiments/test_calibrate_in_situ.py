@@ -41,7 +41,6 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def changed(config: InSituConfig, **tables: dict[str, object]) -> InSituConfig:
-    """Put other tables in place of some."""
     return InSituConfig.read(config.model_dump() | tables, "other")
 
 

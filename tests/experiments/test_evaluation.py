@@ -257,7 +257,6 @@ def test_the_command_compares_and_makes_a_page(tmp_path, invented, undrawn):
 
 @pytest.fixture
 def mine(tmp_path):
-    """A folder with a policy."""
     folder = tmp_path / "mine"
     folder.mkdir()
     shutil.copy(BALANCE, folder / "policy.npz")

@@ -100,7 +100,6 @@ def test_a_log_that_nothing_mends_is_refused_with_its_figures(bad_start: Log) ->
 
 
 def spoil(spoilt: ModuleType, log: Log, name: str) -> Log:
-    """Put a mistake into a log."""
     changed: Log = spoilt.SPOILERS[name][1](log, np.random.default_rng(1))
     return changed
 
@@ -151,7 +150,6 @@ class TestCommand:
 
 
 def feet_alone(log: Log, path: Path, *, contacts: bool) -> Path:
-    """Write a log without references."""
     pd = pytest.importorskip("pandas")
     write_log(log, path)
     table = pd.read_csv(path)

@@ -19,7 +19,6 @@ from surefoot.experiments.walks.replay import starting_map
 
 @pytest.fixture(scope="module")
 def recorded(recorded_walk: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """The walk as a log of joints and IMU."""
     path = tmp_path_factory.mktemp("motion") / "walk.csv"
     recorded_walk.path = write_motion(
         recorded_walk.log, recorded_walk.motion, path, recorded_walk.description

@@ -29,8 +29,6 @@ def played_as(log: Log, force: np.ndarray, flags: np.ndarray | None = None) -> P
 
 
 def longer(log: Log, times: int) -> Log:
-    """The same log again and again."""
-
     def again(part: np.ndarray) -> np.ndarray:
         return np.concatenate([part] * times)
 

@@ -161,7 +161,6 @@ def test_a_step_may_have_other_rows(library) -> None:
 
 @pytest.fixture(scope="module")
 def fuzzer(tmp_path_factory) -> Path:
-    """The program of garbage, with sanitizers."""
     path = tmp_path_factory.mktemp("fuzz") / "fuzz"
     compile_program(Path(__file__).parent / "fuzz_telemetry.c", path, *SANITIZED)
     return path

@@ -6,6 +6,7 @@ from math import inf
 
 import numpy as np
 import pytest
+from _refusals import refusals
 
 from surefoot.sensors import (
     PRESETS,
@@ -140,14 +141,16 @@ def test_cells_of_twice_the_severity_are_twice_as_far_off():
     np.testing.assert_allclose(spread, [0.0, one, 2.0 * one], rtol=0.02, atol=1e-12)
 
 
-def test_what_no_severity_can_be_is_refused():
-    with pytest.raises(ValueError, match=r"'severity' must be finite and not negative, got -0\.5"):
-        scaled(Imu(), -0.5)
-    with pytest.raises(ValueError, match="'severity' must be finite"):
-        scaled(Link(), float("nan"))
-    with pytest.raises(TypeError, match=r"dict has no severity: it marks no field as an error"):
-        scaled({}, 1.0)
-    with pytest.raises(
-        ValueError, match=r"severity of 1e\+308 is more .* LoadCells\.initial_offset_std must be"
-    ):
-        scaled(LoadCells(initial_offset_std=1e3), 1e308)
+test_what_no_severity_can_be_is_refused = refusals(
+    scaled,
+    (Imu(), -0.5, r"'severity' must be finite and not negative, got -0\.5"),
+    (Link(), float("nan"), "'severity' must be finite"),
+    (
+        LoadCells(initial_offset_std=1e3),
+        1e308,
+        r"severity of 1e\+308 is more .* LoadCells\.initial_offset_std must be",
+    ),
+)
+test_what_marks_no_error_has_no_severity = refusals(
+    scaled, ({}, 1.0, r"dict has no severity: it marks no field as an error"), error=TypeError
+)

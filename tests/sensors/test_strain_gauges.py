@@ -29,7 +29,6 @@ def drawn(config, seed=0):
 
 
 def many(config, count, seed):
-    """States of many sensors."""
     sensor, rng = strain_gauges(config), np.random.default_rng(seed)
     return [sensor.init((config.channels,), rng) for _ in range(count)]
 
