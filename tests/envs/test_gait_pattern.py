@@ -10,7 +10,6 @@ from surefoot.envs.gait.footsteps import GaitTiming
 from surefoot.envs.gait.kinematics import WholeBodyKinematics
 from surefoot.envs.gait.pattern import plan_route, plan_walk
 from surefoot.envs.gait.route import Leg
-from surefoot.envs.robots.nao import load_nao_spec
 
 WALKS = {
     "slow": (0.02, 0.0),
@@ -24,11 +23,6 @@ WALKS = {
 }
 ROUTE = (Leg(2.4, 0.04, 0.1), Leg(2.8, 0.1, 0.0), Leg(0.5, 0.0, 0.0), Leg(2.8, -0.03, -0.2))
 SHOE = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)]) * (0.085, 0.049)
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_nao_spec().compile()
 
 
 @pytest.fixture(

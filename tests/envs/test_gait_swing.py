@@ -9,14 +9,9 @@ from hypothesis import strategies as st
 from surefoot.envs.gait.pattern import plan_walk
 from surefoot.envs.gait.swing import LIFT_HEIGHT, TOE_AND_HEEL, lift, minimum_jerk, pivot_of, roll_of_step
 from surefoot.envs.nao.walk import NaoWalkEnv
-from surefoot.envs.robots.nao import FEET, cell_positions, load_nao_spec
+from surefoot.envs.robots.nao import FEET, cell_positions
 
 ANGLE = 0.08
-
-
-@pytest.fixture(scope="module")
-def model():
-    return load_nao_spec().compile()
 
 
 @pytest.fixture(scope="module")

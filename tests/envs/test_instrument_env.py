@@ -14,11 +14,6 @@ from gymnasium.utils.env_checker import data_equivalence
 from surefoot.envs import FeetTruth, InstrumentedEnv, instrument, load_robot_spec
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "toy.xml"
-
-
 def change(env):
     """Change a robot's numbers as an environment may do on its compiled model."""
     model = env.unwrapped.model

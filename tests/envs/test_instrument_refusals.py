@@ -12,11 +12,6 @@ from _toy import LEGS, TOY, Toy, warned
 from surefoot.envs import InstrumentedEnv, instrument
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "toy.xml"
-
-
 def test_another_model_made_at_a_reset_is_refused(path):
     class Fickle(Toy):
         def reset(self, **given):

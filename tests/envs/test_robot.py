@@ -57,11 +57,6 @@ JOINTS = {
 }
 
 
-@pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return load_nao_spec().compile()
-
-
 def inertia_about(point, model, data, body):
     """Inertia of one body about a point of the world, in the world's axes."""
     rotation = data.ximat[body].reshape(3, 3)

@@ -36,6 +36,12 @@ def benchmark_script(load_script: Callable[[str], ModuleType]) -> Callable[[str]
     return lambda name: load_script(f"benchmarks/{name}.py")
 
 
+@pytest.fixture(scope="session")
+def spoilt(benchmark_script: Callable[[str], ModuleType]) -> ModuleType:
+    """The mistakes that are counted for the docs."""
+    return benchmark_script("spoilt_logs")
+
+
 @pytest.fixture
 def log() -> Log:
     """A robot that sways on both feet; its cells are true and its counts are exact."""

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,12 +19,6 @@ from surefoot.experiments.walking.claims import claims_of, fit_claims
 from surefoot.experiments.walking.hypotheses import hypotheses
 from surefoot.experiments.walking.judge import Verdict, judge_log
 from surefoot.experiments.walks.replay import starting_map
-
-
-@pytest.fixture(scope="module")
-def spoilt(benchmark_script: Callable[[str], ModuleType]) -> ModuleType:
-    """The mistakes that are counted for the docs."""
-    return benchmark_script("spoilt_logs")
 
 
 def judge(log: Log) -> Verdict:

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -25,12 +24,6 @@ SHAPES = ("one cell", "four cells", "single readings", "four loads")
 MISTAKES = ("rail", "off", "labels", "dead", "grams", "curve", "newtons")
 LOOP = np.repeat((0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 3.0, 2.0, 1.0, 0.5, 0.0), 3)
 """Weights in kg, up and down."""
-
-
-@pytest.fixture(scope="module")
-def spoilt(benchmark_script: Callable[[str], ModuleType]) -> ModuleType:
-    """The tables that are counted for the docs."""
-    return benchmark_script("spoilt_logs")
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
