@@ -3,9 +3,17 @@
 import numpy as np
 from _synthetic import DT, LAYOUT, NOMINAL, Faults, believed_mass, walk
 
-from surefoot.calibration import Reference, replay
+from surefoot.calibration import METHODS, Reference, replay
 
 BAD = Faults.bad()
+
+
+def short(name):
+    """Options that end the standing start soon, for methods that have one."""
+    config = METHODS[name].config
+    if config is None or "standing_warm_up" not in config.__dataclass_fields__:
+        return {}
+    return {"standing_warm_up": 0.1, "standing_duration": 0.2, "standing_samples": 10}
 
 
 def rows_of(reference, k):

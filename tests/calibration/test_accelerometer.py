@@ -1,11 +1,9 @@
 """An accelerometer's own calibration by the size of gravity."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 from _in_situ import FOOT_MATRIX, make_set, random_gravity, swept_gravity
+from _recordings import DATA, needs
 from _refusals import refusals
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -241,14 +239,10 @@ test_bad_arguments = refusals(
 
 # A real arm
 
-FOLDER = Path(os.environ.get("SUREFOOT_DATA", "nowhere")) / "ft"
 
-
-@pytest.mark.skipif(
-    not FOLDER.is_dir(), reason="the environment variable SUREFOOT_DATA names no folder with real recordings"
-)
+@needs("ft")
 def test_an_arm_with_its_own_accelerometer_finds_the_kinematic_offset(model):
-    arm = np.load(FOLDER / "kuka_ati_gamma_static.npz")
+    arm = np.load(DATA / "ft" / "kuka_ati_gamma_static.npz")
     kinematic = estimate_offset(arm["wrench"], arm["gravity"]).offset
 
     def force_error(specific_force):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from _robots import rows_between
+from _robots import rows_between, short
 from _robots import stream as streamed
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, walk
 
@@ -10,17 +10,13 @@ from surefoot.calibration import METHODS, OnlineSetup, Reference, online_method
 from surefoot.calibration.episodes import LEARNT, begin_episode
 
 LAG = 2
-SHORT = {"standing_warm_up": 0.1, "standing_duration": 0.2, "standing_samples": 10}
 # Blocks are full at every 16th sample, states are kept to go back to at every 8th block.
 WHOLE = 8 * 16
 
 
-def build(name, lag=LAG, **options):
-    config = METHODS[name].config
-    if config is not None and "standing_warm_up" in config.__dataclass_fields__:
-        options = SHORT | options
-    setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=lag)
-    return online_method(name, setup, **options)
+def build(name):
+    setup = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=LAG)
+    return online_method(name, setup, **short(name))
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,6 @@
 """The in-situ paper as printed: Lemma 1, the offset, Lemma 2 and the matrix."""
 
-import os
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +15,7 @@ from _in_situ import (
     with_arrays,
 )
 from _in_situ_stacked import estimate_matrix_stacked, estimate_offset_stacked
+from _recordings import DATA, needs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -244,14 +243,10 @@ def test_neither_spheres_nor_added_masses_show_the_shrinking():
 
 # A real foot
 
-FOLDER = Path(os.environ.get("SUREFOOT_DATA", "nowhere")) / "ft"
 
-
-@pytest.mark.skipif(
-    not FOLDER.is_dir(), reason="the environment variable SUREFOOT_DATA names no folder with real recordings"
-)
+@needs("ft")
 def test_a_real_foot_that_swings_has_the_offset_that_is_known_of_it():
-    log = np.load(FOLDER / "icub_right_foot_swing.npz")
+    log = np.load(DATA / "ft" / "icub_right_foot_swing.npz")
     fit = estimate_offset(log["raw"], log["gravity"])
     force = log["factory_matrix"][:3] @ fit.offset
     np.testing.assert_allclose(force, [291.7, -78.7, 38.8], atol=0.4)

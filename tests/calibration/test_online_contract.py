@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 from _refusals import refusals
+from _robots import short
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, walk
 
 from surefoot.calibration import METHODS, Flag, OnlineSetup, Parameters, Reference, online_method, replay
@@ -13,13 +14,6 @@ from surefoot.calibration.state import load_state, save_state
 
 NAMES = list(METHODS)
 SETUP = OnlineSetup(layout=LAYOUT, mass=MASS, initial=NOMINAL, lag=2)
-SHORT = {"standing_warm_up": 0.1, "standing_duration": 0.2, "standing_samples": 10}
-
-
-def short(name):
-    """Options that end the standing start soon, for methods that have one."""
-    config = METHODS[name].config
-    return SHORT if config is not None and "standing_warm_up" in config.__dataclass_fields__ else {}
 
 
 def build(name, setup=SETUP):

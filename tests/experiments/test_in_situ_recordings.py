@@ -1,10 +1,8 @@
 """In-situ calibration of real sensors; the recordings are found through SUREFOOT_DATA."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
+from _recordings import DATA, needs
 
 from surefoot.calibration import CalibrationRefused
 from surefoot.calibration.in_situ import calibrate_in_situ
@@ -14,14 +12,7 @@ LOOSE, TIGHT, FILTERED = (
     "mass to 1 %, place to 0.3 mm",
     "fitted to filtered counts",
 )
-DATA = Path(os.environ.get("SUREFOOT_DATA") or "nowhere")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        not (DATA / "ft").is_dir(),
-        reason="the environment variable SUREFOOT_DATA names no folder with real recordings",
-    ),
-]
+pytestmark = [pytest.mark.slow, needs("ft")]
 
 
 @pytest.fixture(scope="module")

@@ -1,28 +1,18 @@
 """Real plates with errors put in; the recordings are found through SUREFOOT_DATA."""
 
-import os
-from pathlib import Path
-
 import pytest
+from _recordings import DATA, needs
 
 from surefoot.experiments.walks.scenarios import TRUE_MAP
 
-FOLDER = Path(os.environ.get("SUREFOOT_DATA", "nowhere"))
-
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        not (FOLDER / "foot").is_dir(),
-        reason="the environment variable SUREFOOT_DATA names no folder with real recordings",
-    ),
-]
+pytestmark = [pytest.mark.slow, needs("foot")]
 
 
 @pytest.fixture(scope="module")
 def score(benchmark_script):
     """Means of a method on a recording, over two draws of errors."""
     script = benchmark_script("real_recordings")
-    return lambda name, method: script.score(FOLDER, name, method, range(2)).mean(numeric_only=True)
+    return lambda name, method: script.score(DATA, name, method, range(2)).mean(numeric_only=True)
 
 
 @pytest.mark.parametrize("method", ["window", "quasi-static", "moment"])

@@ -1,7 +1,6 @@
 """`surefoot twin`: presets read off recordings of simulated instruments, whose numbers are known."""
 
 import json
-import os
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from _logs import run
+from _recordings import DATA, needs
 from _streams import stream
 from numpy.typing import NDArray
 
@@ -287,14 +287,11 @@ def test_intervals_of_twenty_instruments_hold_nine_in_ten() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    not (Path(os.environ.get("SUREFOOT_DATA", "nowhere")) / "foot").is_dir(),
-    reason="the environment variable SUREFOOT_DATA names no folder with real recordings",
-)
+@needs("foot")
 def test_real_instruments_have_twins_or_the_reason_why_not(
     benchmark_script: Callable[[str], ModuleType],
 ) -> None:
-    script, folder = benchmark_script("real_recordings"), Path(os.environ["SUREFOOT_DATA"])
+    script, folder = benchmark_script("real_recordings"), DATA
     for name, alike in (("force plate 1", True), ("force plate 2", True), ("balance board", False)):
         twin = script.find_twin(folder, name)
         seen = {one.name: one.value for one in twin.parameters}
