@@ -60,11 +60,11 @@ def test_every_motion_starts_and_ends_in_the_middle(stage):
         assert plan.rest.sum() == 1
         assert plan.rest[-1]
         middle = stage.motion._postures.com
-        np.testing.assert_allclose(plan.com[[0, -1]], [middle, middle], atol=1e-3)
+        np.testing.assert_allclose(plan.commands.com[[0, -1]], [middle, middle], atol=1e-3)
         # Targets go on where they were: nothing jumps from one move to the next.
-        assert np.abs(np.diff(plan.joint_target, axis=0)).max() < 0.12
-        assert not (plan.stance & plan.swing).any()
-        assert plan.swing.any(axis=0).sum() == {"stand": 1, "lean": 1, "step": 2, "march": 2}.get(
+        assert np.abs(np.diff(plan.commands.joint_target, axis=0)).max() < 0.12
+        assert not (plan.commands.stance & plan.commands.swing).any()
+        assert plan.commands.swing.any(axis=0).sum() == {"stand": 1, "lean": 1, "step": 2, "march": 2}.get(
             names[-1].split()[0], 0
         )
     np.testing.assert_array_equal(stage.motion.qpos, first)
