@@ -16,12 +16,8 @@ if TYPE_CHECKING:
     from surefoot.robot.beliefs.errors import BeliefErrors as BeliefErrors
     from surefoot.robot.beliefs.nominal import NominalModel as NominalModel
     from surefoot.robot.beliefs.references import Beliefs as Beliefs
-    from surefoot.robot.calibration import (
-        CalibrationSetup as CalibrationSetup,
-    )
-    from surefoot.robot.calibration import (
-        RobotCalibration as RobotCalibration,
-    )
+    from surefoot.robot.calibration import CalibrationSetup as CalibrationSetup
+    from surefoot.robot.calibration import RobotCalibration as RobotCalibration
     from surefoot.robot.sensing.equipment import Equipment as Equipment
     from surefoot.robot.sensing.sensors import RobotSensors as RobotSensors
     from surefoot.sensors.telemetry.computer import Telemetry as Telemetry

@@ -29,7 +29,7 @@ from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
 from surefoot.robot.foot_view import FootView, check_certainty, check_parts, default_parts, flaw_of
 from surefoot.robot.native import SampleBackend, native_sample
-from surefoot.robot.python import Told
+from surefoot.robot.python import Told, believe
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.robot.sensing.sensors import RobotSensors
@@ -251,11 +251,7 @@ class RobotCalibration(OfOneVersion):
 
     def believe(self, command: Any) -> bool:
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
-        waits = self._chances.next()
-        self.beliefs.update(self._sensors.packets)
-        fell = self.beliefs.sample(self.reference_time, command, self.frozen or waits)
-        self._chances.add(self.beliefs.known, self.beliefs.standing)
-        return fell
+        return believe(self.beliefs, self._sensors, self.reference_time, command, self.frozen, self._chances)
 
     def sample(self, command: Any) -> Told:
         """Take in one sample; return the observation and the ``info``, as fresh arrays."""

@@ -39,12 +39,8 @@ class PythonSample:
             command: The robot's command to itself, if any.
             hold: Whether nothing is learnt of it.
         """
-        beliefs, chances = self._beliefs, self._chances
-        waits = chances.next()
-        beliefs.update(sensors.packets)
-        fell = beliefs.sample(then, command, hold or waits)
-        chances.add(beliefs.known, beliefs.standing)
-        if fell:
+        beliefs = self._beliefs
+        if believe(beliefs, sensors, then, command, hold, self._chances):
             self._calibrator.retract()
         self._estimate = estimate = self._calibrator.update(sensors.raw, beliefs.believed)
         self.sampled = True
@@ -63,3 +59,17 @@ class PythonSample:
     def estimate(self) -> Estimate:
         """Return the last estimate."""
         return self._estimate
+
+
+def believe(
+    beliefs: AnyBeliefs, sensors: RobotSensors, then: float, command: Any, hold: bool, chances: Chances
+) -> bool:
+    """Find the reference of one sample, and count it; return whether the robot has just fallen.
+
+    Arguments are those of :meth:`PythonSample.sample`.
+    """
+    waits = chances.next()
+    beliefs.update(sensors.packets)
+    fell = beliefs.sample(then, command, hold or waits)
+    chances.add(beliefs.known, beliefs.standing)
+    return fell

@@ -76,10 +76,8 @@ class Still(NamedTuple):
         if state.time < 0.0:
             return belief, StillState(reading, reading, time), tare
         apart, drift, noise = time - state.time, tare.rate**2 * self.drift, self.noise / block.duration
-        change, level = (
-            reading - state.reading,
-            state.level + min(apart / LEVEL_TIME, 1.0) * (reading - state.level),
-        )
+        change = reading - state.reading
+        level = state.level + min(apart / LEVEL_TIME, 1.0) * (reading - state.level)
         there = lost < 0.5
         still = min(
             _likelihood(change[there], (drift * apart + 2.0 * noise)[there]),
@@ -104,5 +102,7 @@ class Still(NamedTuple):
 
 def _likelihood(change: Array, variance: Array) -> float:
     """Return how likely drift alone is, against any larger change, by changes of stated variances."""
-    larger = max(float((change**2 / variance).mean()), 1.0) if len(change) else np.inf
+    if not len(change):
+        return 0.0
+    larger = max(float((change**2 / variance).mean()), 1.0)
     return float(np.exp(-0.5 * len(change) * (larger - 1.0 - np.log(larger)))) if larger < np.inf else 0.0

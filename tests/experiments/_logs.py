@@ -75,5 +75,5 @@ def with_cell(row: int | slice, column: str, value: object) -> Change:
     return change
 
 
-def scaled(columns: Iterable[str], factor: float) -> Change:
+def scale_columns(columns: Iterable[str], factor: float) -> Change:
     return lambda frame: frame.assign(**{name: factor * frame[name] for name in columns})

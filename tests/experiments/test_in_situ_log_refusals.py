@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from _in_situ_logs import FORCE, RAW, SPIN, spinning, table, toml, write
-from _logs import Change, scaled, with_cell
+from _logs import Change, scale_columns, with_cell
 
 from surefoot.calibration import GRAVITY
 from surefoot.experiments.force_torque.config import InSituConfig
@@ -68,12 +68,12 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
         "set '2': column 'raw_4_count' stands at 32767, the end of its range, in 10 % of its readings",
     ),
     "in g": (
-        scaled(FORCE, 1.0 / GRAVITY),
+        scale_columns(FORCE, 1.0 / GRAVITY),
         r"set '1': .* median length of 1 m/s\^2.*units.acceleration = 'g'",
     ),
-    "in milli-g": (scaled(FORCE, 1e3 / GRAVITY), "units.acceleration = 'mg'"),
-    "in mm/s^2": (scaled(FORCE, 1e3), r"it looks like mm/s\^2"),
-    "no known unit": (scaled(FORCE, 0.3), r"give m/s\^2 with gravity in it"),
+    "in milli-g": (scale_columns(FORCE, 1e3 / GRAVITY), "units.acceleration = 'mg'"),
+    "in mm/s^2": (scale_columns(FORCE, 1e3), r"it looks like mm/s\^2"),
+    "no known unit": (scale_columns(FORCE, 0.3), r"give m/s\^2 with gravity in it"),
     "time goes back": (
         with_cell(9, "time_s", 0.05),
         r"set '1': column 'time_s' goes back at row 9 \(0.8 s, then",
@@ -121,13 +121,13 @@ BAD_SPINS = {
 
 @pytest.mark.parametrize(("factor", "said"), BAD_SPINS.values(), ids=BAD_SPINS)
 def test_a_gyroscope_that_contradicts_gravity_is_refused(factor: float, said: str, tmp_path: Path) -> None:
-    path = write(tmp_path, scaled(SPIN, factor)(spinning(table())))
+    path = write(tmp_path, scale_columns(SPIN, factor)(spinning(table())))
     with pytest.raises(LogError, match=said):
         read_in_situ_log(path)
 
 
 def test_milliseconds_are_recognised_beside_a_gyroscope(tmp_path: Path) -> None:
-    path = write(tmp_path, scaled(["time_s"], 1e3)(spinning(table())))
+    path = write(tmp_path, scale_columns(["time_s"], 1e3)(spinning(table())))
     with pytest.raises(LogError, match=r"column 'time_s' steps by 100 s.* say units.time = 'ms'"):
         read_in_situ_log(path)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from _logs import Change, redescribe, refusal_of, scaled, write_motion
+from _logs import Change, redescribe, refusal_of, scale_columns, write_motion
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration import GRAVITY
@@ -172,12 +172,12 @@ BAD_COLUMNS: dict[str, tuple[Change, str]] = {
         "only 3 rows have all of joints and IMU, and 8 are needed; write all of them into the same rows.",
     ),
     "degrees": (
-        scaled(["joint_left_hip_rad"], 180 / 0.1),
+        scale_columns(["joint_left_hip_rad"], 180 / 0.1),
         "column 'joint_left_hip_rad' goes to 180, and no hinge turns by more than 6.6 rad; give radians, not "
         "degrees or ticks.",
     ),
     "accelerations in g": (
-        scaled([f"accelerometer_{axis}_m_s2" for axis in "xyz"], 1 / GRAVITY),
+        scale_columns([f"accelerometer_{axis}_m_s2" for axis in "xyz"], 1 / GRAVITY),
         "columns 'accelerometer_x_m_s2' to '_z_m_s2' have a median length of 1, and a robot on the ground "
         "feels 9.81 m/s^2; give the specific force in m/s^2, gravity included.",
     ),
