@@ -1500,16 +1500,25 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     sf_moment_begin(c, m, s, 1, w);
 }
 
+/* Places of suspects: channels that are out, flipped ones behind, pairs straight, and pairs crossed. */
+SF_API int sf_pairs_of_cells(const sf_config *c) {
+    int n = 0;
+    for (int i = 0; i < c->channels; i++) n += c->cells[i];
+    return n * (n - 1) / 2;
+}
+SF_API int sf_suspects_of(const sf_config *c) { return 2 * c->channels + 2 * sf_pairs_of_cells(c); }
+
 /* MomentFilter._rest: keep what is known now and then, and learn how cells share loads. */
 SF_API void sf_rest(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w, int n,
                     sf_real duration, int good) {
     int K = c->channels, wide = sf_waiting(c);
-    sf_real a[SF_CHANNELS], b[SF_CHANNELS];
+    sf_real a[SF_CHANNELS], b[SF_CHANNELS], most = 0;
     sf_line(c, &s->published, a, b);
     for (int t = 0; t < n; t++)
         for (int i = 0; i < K; i++) w->force[t * K + i] = a[i] * s->pending[t * wide + i] * c->weight + b[i];
     sf_fault_learn(c, &s->faults, w->force, n, good);
-    if (s->age + duration >= m->kept_time) {
+    for (int suspect = 0; suspect < sf_suspects_of(c); suspect++) most = sf_max(most, s->suspects.score[suspect]);
+    if (s->age + duration >= m->kept_time && most < m->contrast) {
         sf_copy_known(c, m, &s->kept, &s->next.belief, &s->next.published, &s->next.tare);
         sf_copy_known(c, m, &s->next, &s->belief, &s->published, &s->tare);
         s->age = 0;
@@ -1546,14 +1555,6 @@ SF_API void sf_begin_momentum(const sf_config *c, const sf_moment_config *m, con
 }
 
 /* ---------------------------------------------------------------------------------------------- suspects */
-
-/* Places of suspects: channels that are out, flipped ones behind, pairs straight, and pairs crossed. */
-SF_API int sf_pairs_of_cells(const sf_config *c) {
-    int n = 0;
-    for (int i = 0; i < c->channels; i++) n += c->cells[i];
-    return n * (n - 1) / 2;
-}
-SF_API int sf_suspects_of(const sf_config *c) { return 2 * c->channels + 2 * sf_pairs_of_cells(c); }
 
 /* The channels that each suspect is about. */
 SF_API void sf_suspected(const sf_config *c, int both[SF_SUSPECTS][2]) {
@@ -1686,7 +1687,7 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     int K = c->channels, C = m->components, N = sf_states(c, m), M = sf_weighed(c), at = sf_momenta(c, m);
     int count = sf_suspects_of(c), best = 0, leaps, both[SF_SUSPECTS][2];
     sf_real rare = sf_log(m->rates[m->held] * rows->duration); /* how rarely a hand pushes in a block */
-    sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS];
+    sf_real S[SF_COMPONENTS * SF_COMPONENTS], other[SF_COMPONENTS * SF_COMPONENTS], e[SF_COMPONENTS], far[SF_COMPONENTS], changed[SF_COMPONENTS];
     sf_real reach[SF_COMPONENTS * SF_CHANNELS], others[SF_CHANNELS * SF_CHANNELS], others_std[SF_CHANNELS];
     sf_real L[SF_COMPONENTS * SF_COMPONENTS], sound[SF_COMPONENTS * SF_COMPONENTS]; /* factors */
     sf_real before[SF_COMPONENTS], along[SF_WEIGHED], by_robot[4 + SF_TALKS], nothing, lasting, changing, unknown, innocent, least, most = 0, rival = 0;
@@ -1714,8 +1715,8 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     sf_real size = sf_factor(m, S, reach, K, 0, sound);
     nothing = sf_evidence(m, sound, size, e);
     for (int i = 0; i < C * C; i++) other[i] = 2 * S[i];
-    for (int r = 0; r < C; r++) far[r] = e[r] - s->error[r] * rows->mean[r * N + at + C + r];
-    lasting = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), far);
+    for (int r = 0; r < C; r++) changed[r] = e[r] - s->error[r] * rows->mean[r * N + at + C + r];
+    lasting = sf_evidence(m, L, sf_factor(m, other, reach, K, 0, L), changed);
     for (int r = 0; r < C; r++) {
         sf_real span = rows->mean[r * N + at + C + r], decay = sf_exp(-rows->duration / m->mode_time[m->held]);
         far[r] = e[r] - decay * s->error[r] * span;
@@ -1760,7 +1761,8 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     if (most < m->contrast) {
         sf_copy(s->known, known, at);
         for (int r = 0; r < C; r++) {
-            sf_real surprise = sf_min(e[r] * e[r] / S[r * C + r], m->suspect_surprise);
+            /* An error that stays is no noise, as the whole weight of a robot that hangs on a crane. */
+            sf_real surprise = sf_min(changed[r] * changed[r] / (2 * S[r * C + r]), m->suspect_surprise);
             s->noise[r] = sf_clip(s->noise[r] * (1 + m->suspect_share * (surprise - 1)), m->suspect_noise[0], m->suspect_noise[1]);
         }
     }

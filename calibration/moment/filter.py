@@ -32,7 +32,7 @@ from surefoot.calibration.moment.repairs import Repairs
 from surefoot.calibration.moment.severity import FIRST_RATE, Severity, Weighed
 from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, TareState
 from surefoot.calibration.moment.still import Still
-from surefoot.calibration.moment.suspects import Leap
+from surefoot.calibration.moment.suspects import CONTRAST, Leap
 from surefoot.calibration.moment.tare import NOISE_TIME, Tare
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
@@ -50,7 +50,8 @@ SHARES_TIME = 20.0
 """Time in s over which is learnt how the cells of a foot share its load."""
 
 KEPT_TIME = 1.5
-"""Time in s between states that are kept to go back to: a fall takes a second before anybody notices."""
+"""Time in s between states that are kept to go back to: a fall takes a second before anybody notices. None
+is kept while something speaks against the readings."""
 
 LONGEST_PAUSE = 3600.0
 """Time in s beyond which a pause adds no more drift."""
@@ -343,7 +344,8 @@ class MomentFilter:
         a, b = self._line(state)
         faults = self.faults.learn(state.faults, a * block.force * self.setup.weight + b, good)
         kept = state.kept
-        if kept.age + block.duration >= KEPT_TIME:
+        trusted = float(state.suspects.score.max()) < CONTRAST
+        if kept.age + block.duration >= KEPT_TIME and trusted:
             kept = kept.keep(state.belief, state.published, state.tare)
         else:
             kept = kept._replace(age=kept.age + block.duration)

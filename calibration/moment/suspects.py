@@ -52,7 +52,8 @@ ten times the errors of the model of a robot that nobody touches."""
 
 SUSPECT_SHARE, SUSPECT_NOISE, SUSPECT_SURPRISE = 0.02, (0.04, 100.0), 9.0
 """How much of the rows' noise one block decides, five seconds of it; between which factors on its variance it
-is believed; and the squared surprise of which more counts no more (three standard deviations)."""
+is believed; and the squared surprise of which more counts no more (three standard deviations). Noise is what
+changes from block to block."""
 
 
 class Leap(NamedTuple):
@@ -160,7 +161,9 @@ class Suspects:
         noise, before = state.noise, state.known
         if score.max() < CONTRAST:
             before = known
-            surprise = np.minimum(e**2 / np.diagonal(S), SUSPECT_SURPRISE)
+            # An error that stays is no noise, as the whole weight of a robot that hangs on a crane.
+            changed = e - state.error * span
+            surprise = np.minimum(0.5 * changed**2 / np.diagonal(S), SUSPECT_SURPRISE)
             noise = np.clip(noise * (1.0 + SUSPECT_SHARE * (surprise - 1.0)), *SUSPECT_NOISE)
         least = max(innocent + SURE, each.max())
         there = 1.0 - lost

@@ -7,7 +7,8 @@ from itertools import product
 
 import numpy as np
 import pytest
-from _synthetic import DT, LAYOUT, NOMINAL, Faults, believed_mass, walk
+from _moment import Errors, move
+from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, walk
 
 from surefoot.calibration import (
     GRAVITY,
@@ -393,3 +394,28 @@ def test_a_foot_that_lands_on_all_its_cells_does_not_spike(broken):
     raw[AT:, :, :4] += leap * np.array([1.0, 0.9, 0.6, 0.8])
     assert np.abs(np.diff(raw[AT - 1 : AT + 1, :, :4], axis=0)).min() > 0.2 * leap
     assert not broken.goes_on(raw).flags.any()
+
+
+@pytest.mark.parametrize("share", [0.8, 0.95])
+def test_nobody_is_accused_on_a_robot_that_hangs(share):
+    """The weight that is missing stays missing: no noise, and no cell's fault."""
+    hung = move(1, 60.0, Errors.stated(), walking=False, lifted=np.full(round(60.0 / DT), share))
+    found = replay(LAYOUT, "moment", hung.raw, hung.reference, DT, mass=MASS, initial=NOMINAL, lag=0)
+    assert not (found.flags & int(WRONG)).any()
+
+
+def test_nothing_is_kept_that_is_learnt_while_readings_are_suspected():
+    """It takes seconds of walking to be sure of exchanged cells; the filter goes back to before they were."""
+    at, channels = round(8.03 / DT), [0, 2, 1, *range(3, 8)]
+    log = move(7, 20.0, Errors.stated())
+    spoilt = log.raw.copy()
+    spoilt[at:] = (NOMINAL.force(spoilt[at:])[:, channels] - NOMINAL.offset) / NOMINAL.scale
+    sound, found = (
+        replay(LAYOUT, "moment", raw, log.reference, DT, mass=MASS, initial=NOMINAL, lag=0)
+        for raw in (log.raw, spoilt)
+    )
+    sure = np.flatnonzero(found.flags[:, 1] & int(Flag.SWAPPED))[0]
+    assert sure > at + 3.0 / DT
+    after = slice(sure + round(0.2 / DT), sure + round(2.2 / DT))
+    errors = [np.sqrt(np.mean((one.force[after] - log.force[after]) ** 2)) for one in (sound, found)]
+    assert errors[1] < 2.0 * errors[0]
