@@ -80,21 +80,14 @@ HELD_OUT = 100
 
 
 class Scene(NamedTuple):
-    """A robot's motion.
+    """A robot's motion."""
 
-    Attributes:
-        robot: Whose environment it is.
-        command: Forward in m/s, left in m/s and turn in rad/s at a time in s, for those who take one.
-        lifted: Share of the weight that somebody takes off for a while.
-        pushed: Impulse of pushes in body weights times s, sideways every 3 s.
-        options: Of its environment.
-    """
-
-    robot: str
+    robot: str  # whose environment it is
     command: Callable[[float], tuple[float, float, float]] = lambda time: (0.0, 0.0, 0.0)
-    lifted: float = 0.0
-    pushed: float = 0.0
-    options: tuple[tuple[str, Any], ...] = ()
+    """Forward in m/s, left in m/s and turn in rad/s at a time in s, for those who take one."""
+    lifted: float = 0.0  # share of the weight that somebody takes off for a while
+    pushed: float = 0.0  # impulse of pushes in body weights times s, sideways every 3 s
+    options: tuple[tuple[str, Any], ...] = ()  # of its environment
 
 
 def _walk(*command: float) -> Callable[[float], tuple[float, float, float]]:
@@ -199,37 +192,21 @@ EXERCISE = {"nao": "nao", "op3": "op3", "unitree": "g1", "t1": "t1"}
 
 
 class Stream(NamedTuple):
-    """One scene: N samples of K channels on F feet.
+    """One scene: N samples of K channels on F feet."""
 
-    Attributes:
-        layout: The feet.
-        mass: As the robot believes it in kg.
-        initial: The map to start from.
-        dt: Time between samples in s.
-        lag: By how many samples references are late.
-        age: Mean age of a reading in s.
-        raw: Readings, shape (N, K).
-        accelerations: References, N first in each field.
-        momenta: The same as momentum.
-        true: The map that undoes the readings' errors, shape (N, K) each.
-        sole: Soles in m in the world, shape (N, F, 3).
-        R: Their rotations, shape (N, F, 3, 3).
-        fell: Whether the robot fell.
-    """
-
-    layout: FeetLayout
-    mass: float
-    initial: Parameters
-    dt: float
-    lag: int
-    age: Any
-    raw: Floats
-    accelerations: Reference
-    momenta: MomentumReference
-    true: Parameters
-    sole: Floats
-    R: Floats
-    fell: bool
+    layout: FeetLayout  # the feet
+    mass: float  # as the robot believes it in kg
+    initial: Parameters  # the map to start from
+    dt: float  # time between samples in s
+    lag: int  # by how many samples references are late
+    age: Any  # mean age of a reading in s
+    raw: Floats  # readings, shape (N, K)
+    accelerations: Reference  # references, N first in each field
+    momenta: MomentumReference  # the same as momentum
+    true: Parameters  # the map that undoes the readings' errors, shape (N, K) each
+    sole: Floats  # soles in m in the world, shape (N, F, 3)
+    R: Floats  # their rotations, shape (N, F, 3, 3)
+    fell: bool  # whether the robot fell
 
 
 def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:

@@ -26,37 +26,22 @@ from surefoot.envs.rendering import DrawnEnv
 
 
 class State(NamedTuple):
-    """Where a robot is in its episode, besides MuJoCo's own state; of many robots, with these in front.
+    """Where a robot is in its episode, besides MuJoCo's own state; of many robots, with these in front."""
 
-    Attributes:
-        plan: What the episode has drawn to be commanded; each task has its own kind.
-        tick: Control steps since the episode began.
-        command: The robot's present command to itself.
-        target: Targets of the motors at the end of the last step in rad, shape (..., M).
-        correction: What the next step adds to the leg motors' targets beside the residual in rad.
-        cop_held: The last valid centres of pressure (:class:`~surefoot.envs.observation.Look`).
-    """
-
-    plan: Any
-    tick: Any
-    command: Command
-    target: NDArray[np.float64]
-    correction: Any
-    cop_held: NDArray[np.float64]
+    plan: Any  # what the episode has drawn to be commanded; each task has its own kind
+    tick: Any  # control steps since the episode began
+    command: Command  # the robot's present command to itself
+    target: NDArray[np.float64]  # of the motors at the end of the last step in rad, shape (..., M)
+    correction: Any  # what the next step adds to the leg motors' targets beside the residual in rad
+    cop_held: NDArray[np.float64]  # last valid centres of pressure, as in :class:`Look`
 
 
 class Fall(NamedTuple):
-    """When a robot has fallen.
+    """When a robot has fallen."""
 
-    Attributes:
-        up: The vertical in the torso's axes while it stands, shape (3,).
-        lowest_up: Cosine of the largest angle between that and the present vertical.
-        lowest_height: Lowest height of the torso's origin in m.
-    """
-
-    up: tuple[float, float, float]
-    lowest_up: float
-    lowest_height: float
+    up: tuple[float, float, float]  # the vertical in the torso's axes while it stands, shape (3,)
+    lowest_up: float  # cosine of the largest angle between that and the present vertical
+    lowest_height: float  # lowest height of the torso's origin in m
 
 
 class BipedEnv(DrawnEnv):

@@ -31,46 +31,32 @@ STATE: Final = 15
 
 
 class Places(NamedTuple):
-    """Where things are that are shown.
+    """Where things are that are shown."""
 
-    Attributes:
-        feet: In a row of sensor data.
-        joint_dofs: Where the joints' speeds are in ``qvel``.
-    """
-
-    feet: FootPlaces
-    joint_dofs: NDArray[np.intp]
+    feet: FootPlaces  # in a row of sensor data
+    joint_dofs: NDArray[np.intp]  # where the joints' speeds are in ``qvel``
 
 
 class Seen(NamedTuple):
     """The end of one robot's control step, as its reward and the end of its episode depend on it.
 
-    A centre of pressure that does not exist is at the origin.
-
-    Attributes:
-        cop_valid: Whether there is a centre of pressure, 0 or 1.
-        cop_error_x, cop_error_y: The centre of pressure less its reference, in the world, in m.
-        cop_error_forward, cop_error_left: The same with the true one in the level frame of the true soles
-            and its reference in that of the commanded soles.
-        velocity_error_forward, velocity_error_left: Velocity of the centre of mass less its reference,
-            likewise, in m/s.
-        up_x, up_y, up_z: The vertical in the torso's axes.
-        height: Height of the torso's origin in m.
-        effort: Reward of the action: -0.1 times its mean square.
+    Errors are those of the centre of pressure (m) and of the centre of mass's velocity (m/s) less their
+    references: in the world, or the true one in the level frame of the true soles and its reference in that
+    of the commanded ones. A centre of pressure that does not exist is at the origin.
     """
 
-    cop_valid: float
+    cop_valid: float  # whether there is a centre of pressure, 0 or 1
     cop_error_x: float
     cop_error_y: float
     cop_error_forward: float
     cop_error_left: float
     velocity_error_forward: float
     velocity_error_left: float
-    up_x: float
+    up_x: float  # the vertical in the torso's axes
     up_y: float
     up_z: float
-    height: float
-    effort: float
+    height: float  # of the torso's origin in m
+    effort: float  # reward of the action: -0.1 times its mean square
 
 
 def closeness(x: float, y: float, scale: float) -> float:
@@ -79,18 +65,13 @@ def closeness(x: float, y: float, scale: float) -> float:
 
 
 class Look(NamedTuple):
-    """What is made of the last row of a control step, of one robot or with many in front.
+    """What is made of the last row of a control step, of one robot or with many in front."""
 
-    Attributes:
-        observation: The observation.
-        seen: The numbers of :class:`Seen`, but for the last, shape (..., 11).
-        cop_held: The last valid centres of pressure in m: of both feet in the level frame, and of each in its
-            sole's frame, shape (..., 3, 2).
-    """
-
-    observation: Observation
-    seen: Floats
+    observation: Observation  # the observation
+    seen: Floats  # the numbers of :class:`Seen`, but for the last, shape (..., 11)
     cop_held: Floats
+    """The last valid centres of pressure in m: of both feet in the level frame, and of each in its sole's
+    frame, shape (..., 3, 2)."""
 
 
 class FeetObserver:

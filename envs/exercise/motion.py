@@ -76,28 +76,18 @@ _PLANNED: "dict[tuple[Any, ...], Motion]" = {}
 
 
 class Paths(NamedTuple):
-    """P lines along which the robot moves, each by its parameter s.
+    """P lines along which the robot moves, each by its parameter s."""
 
-    Attributes:
-        com: Centre of mass at s = 0 in m, shape (P, 3).
-        along: Its displacement per unit of s in m, shape (P, 3).
-        lift: Heights of both feet at s = 0 in m, shape (P, 2).
-        rise: Their change per unit of s in m, shape (P, 2).
-        first: The least s that the legs reach, shape (P,).
-        last: The largest, shape (P,).
-        pieces: Number of the last cubic of each path, shape (P,).
-        piece: Cubics of the motors' targets in rad between knots: coefficients, that of the third power
-            first, shape (P, pieces, 4, 3, M); paths with fewer knots are filled up.
-    """
-
-    com: NDArray[np.float64]
-    along: NDArray[np.float64]
-    lift: NDArray[np.float64]
-    rise: NDArray[np.float64]
-    first: NDArray[np.float64]
-    last: NDArray[np.float64]
-    pieces: NDArray[np.intp]
+    com: NDArray[np.float64]  # centre of mass at s = 0 in m, shape (P, 3)
+    along: NDArray[np.float64]  # its displacement per unit of s in m, shape (P, 3)
+    lift: NDArray[np.float64]  # heights of both feet at s = 0 in m, shape (P, 2)
+    rise: NDArray[np.float64]  # their change per unit of s in m, shape (P, 2)
+    first: NDArray[np.float64]  # the least s that the legs reach, shape (P,)
+    last: NDArray[np.float64]  # the largest, shape (P,)
+    pieces: NDArray[np.intp]  # number of the last cubic of each path, shape (P,)
     piece: NDArray[np.float64]
+    """Cubics of the motors' targets in rad between knots: coefficients, that of the third power first, shape
+    (P, pieces, 4, 3, M); paths with fewer knots are filled up."""
 
     @classmethod
     def of(cls, lines: Sequence[tuple[Any, ...]]) -> "Paths":

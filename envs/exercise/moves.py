@@ -17,41 +17,24 @@ TEMPOS: Final = (0.5, 1.0, 1.4)
 
 
 class Move(NamedTuple):
-    """A run along a path.
+    """A run along a path."""
 
-    Attributes:
-        path: Name of the path.
-        start: Where it starts, s.
-        end: Where it ends, s.
-        time: Duration in multiples of that of a sway.
-        ends: Whether a motion ends with it: the robot is back in its first posture.
-    """
-
-    path: str
-    start: float
-    end: float
-    time: float
-    ends: bool = False
+    path: str  # name of the path
+    start: float  # where it starts, s
+    end: float  # where it ends, s
+    time: float  # duration in multiples of that of a sway
+    ends: bool = False  # whether a motion ends with it: the robot is back in its first posture
 
 
 class Schedule(NamedTuple):
-    """An episode's moves one after another, shape (moves,), or (N, moves) of N robots.
+    """An episode's moves one after another, shape (moves,), or (N, moves) of N robots."""
 
-    Attributes:
-        end: When each ends in s; infinite after the last.
-        total: When the last one ends.
-        path: Number of its path.
-        start: Where on it the move starts.
-        way: How far it goes.
-        length: How long it takes in s.
-    """
-
-    end: NDArray[np.float64]
-    total: Any
-    path: NDArray[np.intp]
-    start: NDArray[np.float64]
-    way: NDArray[np.float64]
-    length: NDArray[np.float64]
+    end: NDArray[np.float64]  # when each ends in s; infinite after the last
+    total: Any  # when the last one ends
+    path: NDArray[np.intp]  # number of its path
+    start: NDArray[np.float64]  # where on it the move starts
+    way: NDArray[np.float64]  # how far it goes
+    length: NDArray[np.float64]  # how long it takes in s
 
     @classmethod
     def join(cls, plans: Sequence["Schedule"]) -> "Schedule":

@@ -21,27 +21,18 @@ mass m over whose centre of mass is h high: an ankle needs more than 1 to stand 
 
 @dataclass(frozen=True, eq=False)
 class ExerciseRobot:
-    """A compiled biped.
+    """A compiled biped."""
 
-    Attributes:
-        instrumentation: Its sensors.
-        model: The compiled ``instrumentation.spec``, with the gains of the legs raised where necessary.
-        torso: Number of the body that floats.
-        soles: Numbers of the sites of both soles, the left one first.
-        legs: Numbers of each leg's hinge joints, from the hip down.
-        leg_motors: Numbers of the L actuators that move them, in model order.
-        centre: Middles of the largest rectangles on the soles, in the sole frames in m, shape (2, 2).
-        half: Half their lengths and widths in m, the less of both feet, shape (2,).
-    """
-
-    instrumentation: Instrumentation
+    instrumentation: Instrumentation  # its sensors
     model: mujoco.MjModel
-    torso: int
-    soles: tuple[int, ...]
-    legs: tuple[NDArray[np.intp], ...]
-    leg_motors: NDArray[np.intp]
+    """The compiled ``instrumentation.spec``, with the gains of the legs raised where necessary."""
+    torso: int  # number of the body that floats
+    soles: tuple[int, ...]  # numbers of the sites of both soles, the left one first
+    legs: tuple[NDArray[np.intp], ...]  # numbers of each leg's hinge joints, from the hip down
+    leg_motors: NDArray[np.intp]  # numbers of the L actuators that move them, in model order
     centre: NDArray[np.float64]
-    half: NDArray[np.float64]
+    """Middles of the largest rectangles on the soles, in the sole frames in m, shape (2, 2)."""
+    half: NDArray[np.float64]  # half their lengths and widths in m, the less of both feet, shape (2,)
 
     @property
     def gravity(self) -> float:

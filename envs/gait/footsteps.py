@@ -35,32 +35,20 @@ LEFT, RIGHT = 0, 1
 
 
 class Footstep(NamedTuple):
-    """A foot on the ground.
+    """A foot on the ground."""
 
-    Attributes:
-        foot: 0 for the left, 1 for the right foot.
-        position: Where the sole's origin lies in the pattern's world, in m.
-        yaw: Heading of the sole in rad.
-    """
-
-    foot: int
-    position: tuple[float, float]
-    yaw: float
+    foot: int  # 0 for the left, 1 for the right foot
+    position: tuple[float, float]  # where the sole's origin lies in the pattern's world, in m
+    yaw: float  # heading of the sole in rad
 
 
 @dataclass(frozen=True)
 class GaitTiming:
-    """How long each part of a walk lasts.
+    """How long each part of a walk lasts."""
 
-    Attributes:
-        step_time: From one landing to the next, in s.
-        double_support: Share of the step during which both feet carry.
-        stand_time: Standing before the first and after the last step, in s.
-    """
-
-    step_time: float = 0.8
-    double_support: float = 0.4
-    stand_time: float = 1.0
+    step_time: float = 0.8  # from one landing to the next, in s
+    double_support: float = 0.4  # share of the step during which both feet carry
+    stand_time: float = 1.0  # standing before the first and after the last step, in s
 
     def __post_init__(self) -> None:
         """Raise ValueError if there is no double or no single support, or too little standing."""

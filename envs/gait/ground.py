@@ -15,38 +15,23 @@ COP_SOLE = (0.015, 0.010)
 
 
 class Walk(NamedTuple):
-    """Footsteps without a stand between them.
+    """Footsteps without a stand between them."""
 
-    Attributes:
-        start: Control step at which the weight begins to move onto the first supporting foot.
-        footsteps: The steps in order; the last one closes the feet.
-    """
-
-    start: int
-    footsteps: tuple[Footstep, ...]
+    start: int  # control step at which the weight begins to move onto the first supporting foot
+    footsteps: tuple[Footstep, ...]  # the steps in order; the last one closes the feet
 
 
 @dataclass
 class Ground:
-    """The ground's side of a pattern, one row a control step.
+    """The ground's side of a pattern, one row a control step."""
 
-    Attributes:
-        position_sole: Soles' origins, shape (ticks, 2, 3), m.
-        yaw_sole: Soles' headings, shape (ticks, 2), rad.
-        pitch_sole: Soles' pitch, positive toe down, shape (ticks, 2), rad.
-        cop: Where the centre of pressure is to be, shape (ticks, 2), m.
-        cop_foot: Where each foot is to carry when it does, shape (ticks, 2, 2), m.
-        stance: Whether a foot is planned to carry, shape (ticks, 2).
-        phase: Phase of the stride in [0, 1), shape (ticks,).
-    """
-
-    position_sole: NDArray[np.float64]
-    yaw_sole: NDArray[np.float64]
-    pitch_sole: NDArray[np.float64]
-    cop: NDArray[np.float64]
-    cop_foot: NDArray[np.float64]
-    stance: NDArray[np.bool_]
-    phase: NDArray[np.float64]
+    position_sole: NDArray[np.float64]  # soles' origins, shape (ticks, 2, 3), m
+    yaw_sole: NDArray[np.float64]  # soles' headings, shape (ticks, 2), rad
+    pitch_sole: NDArray[np.float64]  # soles' pitch, positive toe down, shape (ticks, 2), rad
+    cop: NDArray[np.float64]  # where the centre of pressure is to be, shape (ticks, 2), m
+    cop_foot: NDArray[np.float64]  # where each foot is to carry when it does, shape (ticks, 2, 2), m
+    stance: NDArray[np.bool_]  # whether a foot is planned to carry, shape (ticks, 2)
+    phase: NDArray[np.float64]  # phase of the stride in [0, 1), shape (ticks,)
 
     @property
     def share(self) -> NDArray[np.float64]:

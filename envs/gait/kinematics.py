@@ -34,15 +34,10 @@ _ANGLES = [3, 4, 5, 9, 10, 11, 18, 19]
 
 
 class JointTrack(NamedTuple):
-    """Postures over time.
+    """Postures over time."""
 
-    Attributes:
-        qpos: Generalised positions, floating torso first, shape (ticks, nq).
-        error: Largest remaining error of a sole's or the centre of mass's position, in m.
-    """
-
-    qpos: NDArray[np.float64]
-    error: float
+    qpos: NDArray[np.float64]  # generalised positions, floating torso first, shape (ticks, nq)
+    error: float  # largest remaining error of a sole's or the centre of mass's position, in m
 
 
 class WholeBodyKinematics:

@@ -50,27 +50,21 @@ class Pattern:
     """A planned walk at the control rate; arrays are read-only and have one row a control step.
 
     Fields of :class:`~surefoot.envs.Command` are in the pattern's world.
-
-    Attributes:
-        qpos: The planned posture, floating torso first, shape (ticks, nq).
-        pitch_sole: Soles' pitch, positive toe down, shape (ticks, 2), rad.
-        footsteps: The footsteps after the initial stand.
-        kinematic_error: Largest error of a planned sole or centre of mass in m.
     """
 
     joint_target: NDArray[np.float64]
-    qpos: NDArray[np.float64]
+    qpos: NDArray[np.float64]  # the planned posture, floating torso first, shape (ticks, nq)
     com: NDArray[np.float64]
     com_velocity: NDArray[np.float64]
     com_acceleration: NDArray[np.float64]
     cop: NDArray[np.float64]
     position_sole: NDArray[np.float64]
     yaw_sole: NDArray[np.float64]
-    pitch_sole: NDArray[np.float64]
+    pitch_sole: NDArray[np.float64]  # soles' pitch, positive toe down, shape (ticks, 2), rad
     stance: NDArray[np.bool_]
     phase: NDArray[np.float64]
-    footsteps: tuple[Footstep, ...]
-    kinematic_error: float
+    footsteps: tuple[Footstep, ...]  # the footsteps after the initial stand
+    kinematic_error: float  # largest error of a planned sole or centre of mass in m
 
     @property
     def ticks(self) -> int:

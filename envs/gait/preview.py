@@ -57,19 +57,12 @@ class CartTable:
 
 
 class PreviewTrack(NamedTuple):
-    """A motion of the centre of mass along some axes, each of shape (ticks, axes).
+    """A motion of the centre of mass along some axes, each of shape (ticks, axes)."""
 
-    Attributes:
-        position: In m.
-        velocity: In m/s.
-        acceleration: In m/s².
-        zmp: Zero-moment point of the cart-table in m.
-    """
-
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
-    zmp: NDArray[np.float64]
+    position: NDArray[np.float64]  # in m
+    velocity: NDArray[np.float64]  # in m/s
+    acceleration: NDArray[np.float64]  # in m/s²
+    zmp: NDArray[np.float64]  # zero-moment point of the cart-table in m
 
 
 def preview_gains(model: CartTable) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:

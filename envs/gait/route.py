@@ -23,18 +23,12 @@ LEAST_STAND = 0.5
 
 
 class Leg(NamedTuple):
-    """A part of a route.
+    """A part of a route."""
 
-    Attributes:
-        duration: How long it takes in s.
-        speed: Forward speed in m/s, negative backwards.
-        turn_rate: Change of heading in rad/s, positive to the left. With the speed zero as well, the leg
-            stands still.
-    """
-
-    duration: float
-    speed: float
+    duration: float  # how long it takes in s
+    speed: float  # forward speed in m/s, negative backwards
     turn_rate: float
+    """Change of heading in rad/s, positive to the left. With the speed zero as well, the leg stands still."""
 
     @property
     def stands(self) -> bool:

@@ -27,17 +27,11 @@ ROLL_SHARE = 0.5
 
 
 class FootRoll(NamedTuple):
-    """The pitch of one foot from the double support before its swing to the one after it.
+    """The pitch of one foot from the double support before its swing to the one after it."""
 
-    Attributes:
-        before: During the double support before, shape (double,), rad, positive toe down.
-        swing: In the air, shape (single,), rad.
-        after: During the double support after, shape (double,), rad.
-    """
-
-    before: NDArray[np.float64]
-    swing: NDArray[np.float64]
-    after: NDArray[np.float64]
+    before: NDArray[np.float64]  # during the double support before, shape (double,), rad, positive toe down
+    swing: NDArray[np.float64]  # in the air, shape (single,), rad
+    after: NDArray[np.float64]  # during the double support after, shape (double,), rad
 
 
 def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:

@@ -25,19 +25,13 @@ _JOINTS = {
 
 
 class BelowSensor(NamedTuple):
-    """The mass below a sensor of each foot, (left, right), in the sole frames.
+    """The mass below a sensor of each foot, (left, right), in the sole frames."""
 
-    Attributes:
-        position_sensor_sole: Origins of the sensors' frames in m, shape (2, 3).
-        R_sole_sensor: Rotations from the sensors' frames to the sole frames, shape (2, 3, 3).
-        mass: Mass below in kg, shape (2,).
-        com_sole: Its centre of mass in m, shape (2, 3).
-    """
-
-    position_sensor_sole: NDArray[np.float64]
+    position_sensor_sole: NDArray[np.float64]  # origins of the sensors' frames in m, shape (2, 3)
     R_sole_sensor: NDArray[np.float64]
-    mass: NDArray[np.float64]
-    com_sole: NDArray[np.float64]
+    """Rotations from the sensors' frames to the sole frames, shape (2, 3, 3)."""
+    mass: NDArray[np.float64]  # mass below in kg, shape (2,)
+    com_sole: NDArray[np.float64]  # its centre of mass in m, shape (2, 3)
 
 
 @dataclass(frozen=True, eq=False)

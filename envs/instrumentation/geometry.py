@@ -45,27 +45,20 @@ _SHAPES: Final = tuple(
 
 @dataclass(frozen=True, eq=False)
 class FootGeometry:
-    """One foot, measured.
+    """One foot, measured."""
 
-    Attributes:
-        body: Its body's name.
-        position_ankle_foot: Where the ankle's joint sits in the body's frame in m, shape (3,).
-        position_sole_foot: Origin of the sole's frame in the body's in m, shape (3,).
-        R_foot_sole: Rotation from the sole's frame to the body's, shape (3, 3).
-        polygon: Corners of the support polygon in the sole's frame in m, counter-clockwise, shape (n, 2);
-            n = 0 for a foot with a flaw.
-        flaw: Why the foot has no polygon, or empty.
-        round: Of a foot with a flaw, centres in the sole's frame and radii in m of the parts that may touch:
-            spheres, ends of capsules, points of radius 0; shape (m, 4), and m = 0 for others.
-    """
-
-    body: str
+    body: str  # its body's name
     position_ankle_foot: NDArray[np.float64]
-    position_sole_foot: NDArray[np.float64]
-    R_foot_sole: NDArray[np.float64]
+    """Where the ankle's joint sits in the body's frame in m, shape (3,)."""
+    position_sole_foot: NDArray[np.float64]  # origin of the sole's frame in the body's in m, shape (3,)
+    R_foot_sole: NDArray[np.float64]  # rotation from the sole's frame to the body's, shape (3, 3)
     polygon: NDArray[np.float64]
-    flaw: str = ""
+    """Corners of the support polygon in the sole's frame in m, counter-clockwise, shape (n, 2); n = 0 for a
+    foot with a flaw."""
+    flaw: str = ""  # why the foot has no polygon, or empty
     round: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
+    """Of a foot with a flaw, centres in the sole's frame and radii in m of the parts that may touch: spheres,
+    ends of capsules, points of radius 0; shape (m, 4), and m = 0 for others."""
 
     def layout(self, margin: float) -> NDArray[np.float64]:
         """Place four cells in the corners of the largest rectangle inside the polygon, drawn in by a margin.

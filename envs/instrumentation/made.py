@@ -32,19 +32,13 @@ MOST_KEPT: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A robot for environments that have the same description and the same numbers.
+    """A robot for environments that have the same description and the same numbers."""
 
-    Attributes:
-        different: Why the description is of another robot; empty if it is not.
-        model: The instrumented robot.
-        instrumentation: The added sensors.
-        boxed: The bare robot with boxes for meshes, if it has any that are only seen.
-    """
-
-    different: str = ""
-    model: mujoco.MjModel | None = None
-    instrumentation: Instrumentation | None = None
+    different: str = ""  # why the description is of another robot; empty if it is not
+    model: mujoco.MjModel | None = None  # the instrumented robot
+    instrumentation: Instrumentation | None = None  # the added sensors
     boxed: mujoco.MjModel | None = None
+    """The bare robot with boxes for meshes, if it has any that are only seen."""
 
 
 _KEPT: dict[tuple[Any, ...], Made] = {}

@@ -21,17 +21,12 @@ Array = NDArray[np.float64]
 
 
 class FootPlaces(NamedTuple):
-    """Where in a row of sensor data things are that feet feel.
+    """Where in a row of sensor data things are that feet feel."""
 
-    Attributes:
-        columns: Where the parts stand.
-        flat: Which feet have an area, (F).
-        cell_map: Of :class:`~surefoot.envs.instrumentation.robot.RowLayout`; None where a foot has no area.
-    """
-
-    columns: RowColumns
-    flat: tuple[bool, ...]
+    columns: RowColumns  # where the parts stand
+    flat: tuple[bool, ...]  # which feet have an area, (F)
     cell_map: CellMap | None
+    """Of :class:`~surefoot.envs.instrumentation.robot.RowLayout`; None where a foot has no area."""
 
     def force_cell(self, row: Array, wrench: Array) -> Array:
         """Return forces of the cells in N, (..., 4 F), of a row and of wrenches at the soles, (..., 6 F)."""

@@ -43,46 +43,29 @@ TORSO_WIDTH: Final = 27
 
 
 class SensedColumns(NamedTuple):
-    """Where in a row the sensors' loads stand: the first column of each part.
+    """Where in a row the sensors' loads stand: the first column of each part."""
 
-    Attributes:
-        joints: Of the encoders' angles.
-        inertial: Of accelerometer and gyroscope.
-        ankles: Of the first foot's wrench at the ankle, as the simulator reads it: of the robot on the foot.
-        cells: The data of which the cells' forces are made by ``cell_map``.
-        stride: Columns from one foot's to the next one's.
-        soles: How many feet have force, torque, place and the sole's frame there, of which wrenches are made
-            first; 0 where these stand there.
-    """
-
-    joints: int
-    inertial: int
+    joints: int  # of the encoders' angles
+    inertial: int  # of accelerometer and gyroscope
     ankles: int
-    cells: int
-    stride: int
+    """Of the first foot's wrench at the ankle, as the simulator reads it: of the robot on the foot."""
+    cells: int  # the data of which the cells' forces are made by ``cell_map``
+    stride: int  # columns from one foot's to the next one's
     soles: int = 0
+    """How many feet have force, torque, place and the sole's frame there, of which wrenches are made first; 0
+    where these stand there."""
 
 
 class RowColumns(NamedTuple):
-    """Where in a row of readings the parts stand, of a robot with F feet.
+    """Where in a row of readings the parts stand, of a robot with F feet."""
 
-    Attributes:
-        ankle: Force and torque at each ankle, of the robot on the foot, shape (F, 6).
-        ground: Force and torque in the contacts and the place at which they act, in the world, shape (F, 9).
-        up: 1 if these are the ground's on the robot, -1 if the robot's on the ground.
-        position_sole: Origins of the sole frames in the world, shape (F, 3).
-        axes_sole: Their axes one after another, shape (F, 9).
-        position_torso: Origin of the torso's frame; with its axes and what follows of the whole robot.
-        sensed: What sensors read.
-        time: The simulated time.
-    """
-
-    ankle: NDArray[np.intp]
+    ankle: NDArray[np.intp]  # force and torque at each ankle, of the robot on the foot, shape (F, 6)
     ground: NDArray[np.intp]
-    up: float
-    position_sole: NDArray[np.intp]
-    axes_sole: NDArray[np.intp]
-    position_torso: slice
+    """Force and torque in the contacts and the place at which they act, in the world, shape (F, 9)."""
+    up: float  # 1 if these are the ground's on the robot, -1 if the robot's on the ground
+    position_sole: NDArray[np.intp]  # origins of the sole frames in the world, shape (F, 3)
+    axes_sole: NDArray[np.intp]  # their axes one after another, shape (F, 9)
+    position_torso: slice  # origin of the torso's frame; with its axes and what follows of the whole robot
     axes_torso: slice
     com: slice
     com_velocity: slice
@@ -91,8 +74,8 @@ class RowColumns(NamedTuple):
     gyroscope: slice
     inertial: slice
     joint_position: slice
-    sensed: SensedColumns
-    time: int
+    sensed: SensedColumns  # what sensors read
+    time: int  # the simulated time
 
 
 CellMap = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -129,21 +112,15 @@ class RowLayout(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredRobot:
-    """A robot with F feet and J encoders, measured.
+    """A robot with F feet and J encoders, measured."""
 
-    Attributes:
-        feet: Geometry of the feet.
-        cells: Places of each foot's cells in its sole's frame in m, shape (4, 2); None for one without area.
-        plates: How these cells share a load.
-        torso: Name of the body that carries the robot.
-        joint_names: The hinge joints that hang on it in model order; those that carry it have no encoders.
-    """
-
-    feet: tuple[FootGeometry, ...]
+    feet: tuple[FootGeometry, ...]  # geometry of the feet
     cells: tuple[NDArray[np.float64] | None, ...]
-    plates: tuple[SolePlate | None, ...]
-    torso: str
+    """Places of each foot's cells in its sole's frame in m, shape (4, 2); None for one without area."""
+    plates: tuple[SolePlate | None, ...]  # how these cells share a load
+    torso: str  # name of the body that carries the robot
     joint_names: tuple[str, ...]
+    """The hinge joints that hang on it in model order; those that carry it have no encoders."""
 
     @cached_property
     def flaw(self) -> str:

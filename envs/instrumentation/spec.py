@@ -28,20 +28,14 @@ _NET_FORCE = 3
 
 @dataclass(frozen=True, eq=False)
 class Instrumentation:
-    """A robot with sensors, to be compiled by whoever simulates it.
-
-    Attributes:
-        spec: The instrumented robot: ``spec.compile()``. A copy has none, as an ``MjSpec`` can be neither
-            pickled nor copied with objects that refer to it; it reads without.
-        layout: The measures of it.
-        drawing: The drawing by its maker.
-        first_sensor: Name of the first sensor that was added; the others follow it.
-    """
+    """A robot with sensors, to be compiled by whoever simulates it."""
 
     spec: mujoco.MjSpec
-    layout: MeasuredRobot
-    drawing: RobotDrawing
-    first_sensor: str
+    """The instrumented robot: ``spec.compile()``. A copy has none, as an ``MjSpec`` can be neither pickled
+    nor copied with objects that refer to it; it reads without."""
+    layout: MeasuredRobot  # the measures of it
+    drawing: RobotDrawing  # the drawing by its maker
+    first_sensor: str  # name of the first sensor that was added; the others follow it
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: part for name, part in vars(self).items() if name != "spec"}

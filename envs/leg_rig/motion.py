@@ -20,19 +20,12 @@ _STRAIGHTNESS = 0.7
 
 @dataclass(frozen=True, eq=False)
 class HipMotion:
-    """A trajectory of the hip; columns are front-back (positive forward) and lateral (positive outward).
+    """A trajectory of the hip; columns are front-back (positive forward) and lateral (positive outward)."""
 
-    Attributes:
-        time: Of the n samples in s, shape (n,).
-        angle: In rad, shape (n, 2).
-        rate: Its derivative in rad/s, shape (n, 2).
-        acceleration: Its second derivative in rad/s^2, shape (n, 2).
-    """
-
-    time: NDArray[np.float64]
-    angle: NDArray[np.float64]
-    rate: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
+    time: NDArray[np.float64]  # of the n samples in s, shape (n,)
+    angle: NDArray[np.float64]  # in rad, shape (n, 2)
+    rate: NDArray[np.float64]  # its derivative in rad/s, shape (n, 2)
+    acceleration: NDArray[np.float64]  # its second derivative in rad/s^2, shape (n, 2)
 
     def at_rest(self) -> "HipMotion":
         """Visit the same postures, standing still in each."""

@@ -37,44 +37,26 @@ class RigRecording:
     Frames: the sensors' own, x forward, y right, z down, parallel while the knee does not bend. A wrench is
     the load of limb and added mass on the robot through the sensor. The IMU is perfect and its axes are
     parallel to the foot sensor's.
-
-    Attributes:
-        name: The set's name in messages.
-        configuration: Which masses were added, 1 to 8.
-        time: In s, shape (n,).
-        hip: Angles (front-back, lateral) in rad, shape (n, 2).
-        wrench_foot: At and in the foot sensor's frame in N and N m, shape (n, 6).
-        wrench_leg: At and in the leg sensor's frame in N and N m, shape (n, 6).
-        specific_force: Of the IMU in m/s^2, at rest -g, shape (n, 3).
-        angular_velocity: Of the IMU in rad/s, shape (n, 3).
-        angular_acceleration: Of the IMU in rad/s^2, which no IMU measures, shape (n, 3).
-        position_imu_foot: Of the IMU in the foot sensor's frame in m, shape (3,).
-        position_imu_leg: Of the IMU in the leg sensor's frame in m, with a straight knee, shape (3,).
-        added_mass: In kg.
-        added_com_foot: Its centre of mass in the foot sensor's frame in m, shape (3,).
-        added_com_leg: The same in the leg sensor's frame, with a straight knee.
-        added_inertia: Moment of inertia of the added mass about axes through its centre in kg m^2.
-        limb_foot: The mass beyond the foot's sensor, nothing added.
-        limb_leg: The mass beyond the leg's sensor, nothing added, with a straight knee.
     """
 
-    name: str
-    configuration: int
-    time: NDArray[np.float64]
-    hip: NDArray[np.float64]
-    wrench_foot: NDArray[np.float64]
-    wrench_leg: NDArray[np.float64]
-    specific_force: NDArray[np.float64]
-    angular_velocity: NDArray[np.float64]
-    angular_acceleration: NDArray[np.float64]
-    position_imu_foot: NDArray[np.float64]
+    name: str  # the set's name in messages
+    configuration: int  # which masses were added, 1 to 8
+    time: NDArray[np.float64]  # in s, shape (n,)
+    hip: NDArray[np.float64]  # angles (front-back, lateral) in rad, shape (n, 2)
+    wrench_foot: NDArray[np.float64]  # at and in the foot sensor's frame in N and N m, shape (n, 6)
+    wrench_leg: NDArray[np.float64]  # at and in the leg sensor's frame in N and N m, shape (n, 6)
+    specific_force: NDArray[np.float64]  # of the IMU in m/s^2, at rest -g, shape (n, 3)
+    angular_velocity: NDArray[np.float64]  # of the IMU in rad/s, shape (n, 3)
+    angular_acceleration: NDArray[np.float64]  # of the IMU in rad/s^2, which no IMU measures, shape (n, 3)
+    position_imu_foot: NDArray[np.float64]  # of the IMU in the foot sensor's frame in m, shape (3,)
     position_imu_leg: NDArray[np.float64]
-    added_mass: float
-    added_com_foot: NDArray[np.float64]
-    added_com_leg: NDArray[np.float64]
-    added_inertia: float
-    limb_foot: LimbBody
-    limb_leg: LimbBody
+    """Of the IMU in the leg sensor's frame in m, with a straight knee, shape (3,)."""
+    added_mass: float  # in kg
+    added_com_foot: NDArray[np.float64]  # its centre of mass in the foot sensor's frame in m, shape (3,)
+    added_com_leg: NDArray[np.float64]  # the same in the leg sensor's frame, with a straight knee
+    added_inertia: float  # moment of inertia of the added mass about axes through its centre in kg m^2
+    limb_foot: LimbBody  # the mass beyond the foot's sensor, nothing added
+    limb_leg: LimbBody  # the mass beyond the leg's sensor, nothing added, with a straight knee
 
     @property
     def gravity_foot(self) -> NDArray[np.float64]:

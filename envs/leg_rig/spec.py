@@ -47,17 +47,11 @@ _FOAM_DAMPING = 2.0
 
 
 class AddedMass(NamedTuple):
-    """The mass that one data set adds to the foot.
+    """The mass that one data set adds to the foot."""
 
-    Attributes:
-        mass: In kg.
-        com_foot: Centre of mass in the frame of the foot's sensor in m.
-        parts: Its parts: "cube" (0.51102 kg), "cantilever" (0.19198 kg), both or none.
-    """
-
-    mass: float
-    com_foot: tuple[float, float, float]
-    parts: str
+    mass: float  # in kg
+    com_foot: tuple[float, float, float]  # centre of mass in the frame of the foot's sensor in m
+    parts: str  # its parts: "cube" (0.51102 kg), "cantilever" (0.19198 kg), both or none
 
     @property
     def com_leg(self) -> tuple[float, float, float]:
@@ -160,17 +154,11 @@ def read_wrenches(sensordata: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class LimbBody(NamedTuple):
-    """The bodies beyond one F/T sensor as one, without the added mass.
+    """The bodies beyond one F/T sensor as one, without the added mass."""
 
-    Attributes:
-        mass: In kg.
-        mass_com: First moment m c in the sensor's frame in kg m, shape (3,).
-        inertia: About the sensor's origin in its frame in kg m^2, shape (3, 3).
-    """
-
-    mass: float
-    mass_com: NDArray[np.float64]
-    inertia: NDArray[np.float64]
+    mass: float  # in kg
+    mass_com: NDArray[np.float64]  # first moment m c in the sensor's frame in kg m, shape (3,)
+    inertia: NDArray[np.float64]  # about the sensor's origin in its frame in kg m^2, shape (3, 3)
 
 
 def limb_beyond(model: mujoco.MjModel, data: mujoco.MjData, sensor: str) -> LimbBody:

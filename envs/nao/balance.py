@@ -147,14 +147,11 @@ class RandomSway(NamedTuple):
     With the smooth step :math:`f(\tau) = 10\tau^3 - 15\tau^4 + 6\tau^5` over the time :math:`\tau` since the
     stand, in shares of the fade, and sines :math:`g`, the sway :math:`f g` and its first two derivatives are
     continuous; the amplitudes of an axis add up to at most its bound.
-
-    Attributes:
-        waves: Amplitude in m, rate in rad/s and phase in rad of the sines forward and to the left, (2, 3, 3).
-        stand_time: How long it is still first, in s.
     """
 
     waves: Sequence[Sequence[Sequence[float]]]
-    stand_time: float
+    """Amplitude in m, rate in rad/s and phase in rad of the sines forward and to the left, (2, 3, 3)."""
+    stand_time: float  # how long it is still first, in s
 
     @classmethod
     def draw(

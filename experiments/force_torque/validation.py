@@ -23,15 +23,10 @@ _LEAST = 1e-3
 
 
 class Ellipsoid(NamedTuple):
-    """The ellipsoid {centre + axes u : |u| = 1}.
+    """The ellipsoid {centre + axes u : |u| = 1}."""
 
-    Attributes:
-        centre: Shape (3,).
-        axes: A semi-axis a column, the longest first, shape (3, 3).
-    """
-
-    centre: NDArray[np.float64]
-    axes: NDArray[np.float64]
+    centre: NDArray[np.float64]  # shape (3,)
+    axes: NDArray[np.float64]  # a semi-axis a column, the longest first, shape (3, 3)
 
     @property
     def semi_axes(self) -> NDArray[np.float64]:
@@ -45,15 +40,11 @@ class Ellipsoid(NamedTuple):
 
 
 class AddedMassEstimate(NamedTuple):
-    """Mass added to a limb, and its place.
+    """Mass added to a limb, and its place."""
 
-    Attributes:
-        mass: In kg; may come out negative where nothing hangs.
-        position: Of its centre of mass in the sensor's frame in m, shape (3,); NaN without mass.
-    """
-
-    mass: float
+    mass: float  # in kg; may come out negative where nothing hangs
     position: NDArray[np.float64]
+    """Of its centre of mass in the sensor's frame in m, shape (3,); NaN without mass."""
 
 
 def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
