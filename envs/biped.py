@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs.command import Command
 from surefoot.envs.instrumentation.means import MeanTruth
+from surefoot.envs.instrumentation.robot import RowLayout
 from surefoot.envs.observation import FeetObserver, Look, Observation, Places, Seen
 from surefoot.envs.options import check_action, positive
 from surefoot.envs.prelude import Player, Prelude
@@ -49,7 +50,8 @@ class BipedEnv(DrawnEnv):
 
     Args:
         model: The robot, one motor a joint target.
-        places: Where its sensors are in a row of sensor data.
+        layout: Where its sensors are in a row of sensor data.
+        joint_names: The hinge joints whose angles stand there, in their order.
         substeps: Simulation steps of one control step.
         legs: Numbers of the motors of an action, the L leg motors.
         leg_motors: Their names.
@@ -90,7 +92,8 @@ class BipedEnv(DrawnEnv):
     def __init__(
         self,
         model: mujoco.MjModel,
-        places: Places,
+        layout: RowLayout,
+        joint_names: Sequence[str],
         *,
         substeps: int,
         legs: slice | NDArray[np.intp],
@@ -110,7 +113,10 @@ class BipedEnv(DrawnEnv):
         limited = model.actuator_ctrllimited.astype(bool)
         self._low, self._high = np.where(limited, model.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
         self._fraction = np.arange(1, substeps + 1)[:, None] / substeps
-        self.observer, self.mean_truth = FeetObserver(places, force_bound), MeanTruth(places.feet)
+        self.joint_names = tuple(joint_names)
+        self._joint_dofs = np.array([model.joint(name).dofadr[0] for name in self.joint_names])
+        self.observer = FeetObserver(Places(layout, self._joint_dofs), force_bound)
+        self.mean_truth = MeanTruth(layout)
         self.observation_space, self.state_layout = self.observer.space, self.observer.state_layout
         self.action_space = spaces.Box(-1.0, 1.0, (len(self._leg_names),), dtype=np.float32)
 

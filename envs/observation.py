@@ -13,7 +13,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.envs.command import Command, command_state, rotate_level
-from surefoot.envs.instrumentation.means import FootPlaces, places_record
+from surefoot.envs.instrumentation.means import places_record
+from surefoot.envs.instrumentation.robot import RowLayout
 from surefoot.envs.instrumentation.truth import centres, ground_at_feet
 from surefoot.native import ENVS, Call, Library, PointerRecord
 
@@ -33,7 +34,7 @@ STATE: Final = 15
 class Places(NamedTuple):
     """Where things are that are shown."""
 
-    feet: FootPlaces  # in a row of sensor data
+    feet: RowLayout  # in a row of sensor data
     joint_dofs: NDArray[np.intp]  # where the joints' speeds are in ``qvel``
 
 

@@ -14,10 +14,8 @@ from surefoot.envs.command import Command
 from surefoot.envs.exercise.balance import AnkleBalance
 from surefoot.envs.exercise.motion import plan_motion
 from surefoot.envs.exercise.moves import Schedule
-from surefoot.envs.instrumentation.means import foot_places
-from surefoot.envs.instrumentation.spec import Instrumentation
 from surefoot.envs.instrumentation.truth import FeetTruth
-from surefoot.envs.observation import FORCE_BOUND, Places, Seen, closeness
+from surefoot.envs.observation import FORCE_BOUND, Seen, closeness
 from surefoot.envs.options import check_range, check_render_mode, positive
 from surefoot.envs.prelude import Prelude
 from surefoot.envs.rendering import SceneRenderer
@@ -125,12 +123,12 @@ class ExerciseEnv(BipedEnv):
                 f"The model's timestep must be at most {CONTROL_STEP / FEWEST_SUBSTEPS} s, got "
                 f"{model.opt.timestep} s; set spec.option.timestep."
             )
-        self.joint_names = self.drawing.joint_names
         self.leg_motor_names = tuple(model.actuator(i).name for i in prepared.leg_motors)
-        places = _places(self._instrumentation, model)
+        layout = self._instrumentation.layout.rows_after(self._instrumentation.columns(model).start)
         super().__init__(
             model,
-            places,
+            layout,
+            self.drawing.joint_names,
             substeps=substeps,
             legs=prepared.leg_motors,
             leg_motors=self.leg_motor_names,
@@ -146,7 +144,6 @@ class ExerciseEnv(BipedEnv):
         )
         self._balance = AnkleBalance(prepared, self.motion)
         self._cop_width = COP_WIDTH * self.motion.height
-        self._joint_dofs = places.joint_dofs
         reach = self.motion.height
         view = {"lookat": np.array([0.0, 0.0, reach]), "distance": 4.0 * reach}
         self._draw_by(SceneRenderer(model, self.data, view, width, height), render_mode)
@@ -192,13 +189,6 @@ class ExerciseEnv(BipedEnv):
         """Return the terms of the reward, by name."""
         cop = closeness(seen.cop_error_x, seen.cop_error_y, self._cop_width) if seen.cop_valid else 0.0
         return {"reward_alive": 1.0, "reward_cop": cop, "reward_action": seen.effort}
-
-
-def _places(instrumentation: Instrumentation, model: mujoco.MjModel) -> Places:
-    """Return where in the sensor data of a robot with two feet things are that are shown."""
-    layout, start = instrumentation.layout, instrumentation.columns(model).start
-    dofs = np.array([model.joint(name).dofadr[0] for name in instrumentation.drawing.joint_names])
-    return Places(foot_places(layout, layout.columns_after(start)), dofs)
 
 
 def _up_to(name: str, value: Sequence[float], highest: float) -> tuple[float, float]:

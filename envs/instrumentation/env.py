@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from surefoot.envs.instrumentation.drawing import RobotDrawing
 from surefoot.envs.instrumentation.feet import check_names
 from surefoot.envs.instrumentation.made import Made, make
-from surefoot.envs.instrumentation.means import MeanTruth, foot_places
+from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
 from surefoot.envs.instrumentation.spec import Instrumentation, refuse_taken
 from surefoot.envs.instrumentation.swap import find_description, find_holder, put_in, swap_in
@@ -134,7 +134,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self._data: mujoco.MjData = base.data
         self.joint_names = self.drawing.joint_names
         self.truth = self._reader.now()
-        self._mean_truth = MeanTruth(foot_places(self.truth.layout))
+        self._mean_truth = MeanTruth(self.truth.layout)
         self.tells = True
 
     def _instrument(self, made: Made, *, named: bool, forced: bool) -> None:

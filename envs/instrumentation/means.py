@@ -6,53 +6,17 @@ with the same bits.
 
 from collections.abc import Sequence
 from itertools import chain
-from math import atan2
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.envs.command import rotate_level
-from surefoot.envs.instrumentation.robot import CellMap, RowColumns, RowLayout
+from surefoot.envs.instrumentation.robot import RowLayout
 from surefoot.envs.instrumentation.truth import centres
 from surefoot.native import ENVS, Call, Library, PointerRecord
 
 Array = NDArray[np.float64]
-
-
-class FootPlaces(NamedTuple):
-    """Where in a row of sensor data things are that feet feel."""
-
-    columns: RowColumns  # where the parts stand
-    flat: tuple[bool, ...]  # which feet have an area, (F)
-    cell_map: CellMap | None
-    """Of :class:`~surefoot.envs.instrumentation.robot.RowLayout`; None where a foot has no area."""
-
-    def force_cell(self, row: Array, wrench: Array) -> Array:
-        """Return forces of the cells in N, (..., 4 F), of a row and of wrenches at the soles, (..., 6 F)."""
-        assert self.cell_map is not None
-        (factors, added), sensed = self.cell_map, self.columns.sensed
-        data = wrench if sensed.soles else row[..., sensed.cells : sensed.cells + len(factors)]
-        force: Array = (data[..., None, :] @ factors)[..., 0, :]
-        return force if sensed.soles else force + added
-
-    def level(self, row: Sequence[float]) -> tuple[float, float, float]:
-        """Return where the level frame of the soles is (x, y) in m, and its heading in rad."""
-        x = y = along = across = 0.0
-        for at, axes in zip(*self._starts("position_sole", "axes_sole"), strict=True):
-            x, y = x + row[at], y + row[at + 1]
-            along, across = along + row[axes], across + row[axes + 1]
-        share = 1.0 / len(self.flat)
-        return share * x, share * y, atan2(across, along)
-
-    def feet(self, row: Sequence[float]) -> list[list[float]]:
-        """Take the 21 numbers of each foot after its ankle out of a row, (F, 21)."""
-        starts = zip(*self._starts("ground", "position_sole", "axes_sole"), strict=True)
-        return [[*row[i : i + 9], *row[j : j + 3], *row[k : k + 9]] for i, j, k in starts]
-
-    def _starts(self, *names: str) -> list[list[int]]:
-        """Return the first number of parts, of each foot."""
-        return [getattr(self.columns, name)[:, 0].tolist() for name in names]
 
 
 def _add_up(substeps: Sequence[Sequence[float]]) -> tuple[list[float], float, float]:
@@ -80,7 +44,7 @@ def _add_up(substeps: Sequence[Sequence[float]]) -> tuple[list[float], float, fl
     return [a, b, c, d, e, f], x, y
 
 
-def mean_truth(rows: Array, places: FootPlaces) -> dict[str, NDArray[Any]]:
+def mean_truth(rows: Array, layout: RowLayout) -> dict[str, NDArray[Any]]:
     """Compute the truth of a control step, (S, columns), for ``info``: means of its substeps, by ideal cells.
 
     Returns:
@@ -89,20 +53,20 @@ def mean_truth(rows: Array, places: FootPlaces) -> dict[str, NDArray[Any]]:
         them; ``cop_valid`` (1 + F), which of these there are, the common one first (the others are 0);
         ``com`` (3) m; ``wrench_sole`` and ``wrench_ankle`` (F, 6) N and N m.
     """
-    share, columns = 1.0 / len(rows), places.columns
+    share, columns = 1.0 / len(rows), layout.columns
     up = columns.up * share
     row = np.add.reduce(rows) * share
     own, wrench = row.tolist(), []
     moment_x = moment_y = load = 0.0
-    for substeps in zip(*map(places.feet, rows.tolist()), strict=True):
+    for substeps in zip(*map(layout.feet, rows.tolist()), strict=True):
         felt, x, y = _add_up(substeps)
         wrench.append([up * part for part in felt])
         moment_x, moment_y = moment_x + up * x, moment_y + up * y
     vgrf = [0.0 + columns.up * own[at] for at in columns.ground[:, 2]]
     for part in vgrf:
         load = load + part
-    ((x, y), *cop_foot), valid = centres(wrench, (load, moment_x, moment_y), places.flat)
-    middle_x, middle_y, heading = places.level(own)
+    ((x, y), *cop_foot), valid = centres(wrench, (load, moment_x, moment_y), layout.flat)
+    middle_x, middle_y, heading = layout.level(own)
     level = rotate_level(x - middle_x, y - middle_y, heading) if valid[0] else [0.0, 0.0]
     truth = {
         "vgrf": np.array(vgrf),
@@ -114,8 +78,8 @@ def mean_truth(rows: Array, places: FootPlaces) -> dict[str, NDArray[Any]]:
         "wrench_sole": np.array(wrench),
         "wrench_ankle": -row[columns.ankle],
     }
-    if places.cell_map is not None:
-        truth["force_cell"] = places.force_cell(row, np.array([*chain.from_iterable(wrench)]))
+    if not layout.flaw:
+        truth["force_cell"] = layout.force_cell(row, np.array([*chain.from_iterable(wrench)]))
     return truth
 
 
@@ -123,16 +87,16 @@ class MeanTruth:
     """Computes :func:`mean_truth` of one robot or of many: by the library where there is one.
 
     Args:
-        places: The meaning of the columns.
+        layout: The meaning of the columns.
     """
 
-    def __init__(self, places: FootPlaces) -> None:
-        self._places = places
+    def __init__(self, layout: RowLayout) -> None:
+        self._layout = layout
         self._calls: dict[tuple[int, ...], Call | None] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Addresses are of no use elsewhere.
-        return MeanTruth, (self._places,)
+        return MeanTruth, (self._layout,)
 
     def __call__(self, rows: Array, threads: int = 1) -> dict[str, NDArray[Any]]:
         """Compute the truth of a control step, (S, columns), or of many robots by threads, (N, S, ...)."""
@@ -141,23 +105,23 @@ class MeanTruth:
             self._calls[rows.shape] = None if library is None else self._call(library, *rows.shape)
         found = self._calls[rows.shape]
         if found is None:
-            return mean_truth(rows, self._places) if rows.ndim == 2 else self._of_each(rows)
+            return mean_truth(rows, self._layout) if rows.ndim == 2 else self._of_each(rows)
         results = found(np.ascontiguousarray(rows), threads=threads)
         truth = {name: results[name] for name in _TOLD}
-        if self._places.cell_map is not None:
+        if not self._layout.flaw:
             wrench = results["wrench_sole"].reshape(*rows.shape[:-2], -1)
-            truth["force_cell"] = self._places.force_cell(results["row"], wrench)
+            truth["force_cell"] = self._layout.force_cell(results["row"], wrench)
         return truth
 
     def _of_each(self, rows: Array) -> dict[str, NDArray[Any]]:
-        each = [mean_truth(own, self._places) for own in rows]
+        each = [mean_truth(own, self._layout) for own in rows]
         return {name: np.array([truth[name] for truth in each]) for name in each[0]}
 
     def _call(self, library: Library, *shape: int) -> Call:
         """Return the library's function for rows of a shape."""
         *robots, substeps, columns = shape
-        feet = len(self._places.flat)
-        at = places_record(library, self._places, substeps, columns)
+        feet = len(self._layout.flat)
+        at = places_record(library, self._layout, substeps, columns)
         real = np.float64
         fields = {
             "row": (real, (columns,)), "vgrf": (real, (feet,)), "cop_world": (real, (2,)),
@@ -173,18 +137,13 @@ _TOLD = ("vgrf", "cop_world", "cop", "cop_foot", "cop_valid", "com", "wrench_sol
 """The library's results that are told; of the mean row only what is made of it."""
 
 
-def places_record(library: Library, places: FootPlaces, substeps: int, columns: int) -> PointerRecord:
+def places_record(library: Library, layout: RowLayout, substeps: int, columns: int) -> PointerRecord:
     """Make the library's record of places in rows."""
-    columns_of = places.columns
+    columns_of = layout.columns
     whole = {"ankle": columns_of.ankle, "contact": columns_of.ground}
     whole |= {"position_sole": columns_of.position_sole, "axes_sole": columns_of.axes_sole}
     arrays = {name: part[:, 0].astype(np.int32) for name, part in whole.items()}
-    arrays["flat"] = np.array(places.flat, dtype=np.int32)
-    sizes = {"feet": len(places.flat), "rows": substeps, "columns": columns}
+    arrays["flat"] = np.array(layout.flat, dtype=np.int32)
+    sizes = {"feet": len(layout.flat), "rows": substeps, "columns": columns}
     at = {"up": columns_of.up, "com": columns_of.com.start}
     return PointerRecord(library, "foot_places", {**arrays, **sizes, **at})
-
-
-def foot_places(layout: RowLayout, columns: RowColumns | None = None) -> FootPlaces:
-    """Return where the feet's columns are in rows of a layout, or in rows in which they are elsewhere."""
-    return FootPlaces(columns or layout.columns, layout.flat, None if layout.flaw else layout.cell_map)

@@ -45,7 +45,7 @@ class SensorReader:
     ) -> None:
         columns = instrumentation.columns(model)
         first = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, instrumentation.first_sensor)
-        self._model, self._data, self._layout = model, data, instrumentation.layout
+        self._model, self._data, self._layout = model, data, instrumentation.layout.rows
         self._instrumentation, self._samples = instrumentation, samples
         self._sensed = data.sensordata[columns]
         self._scratch = mujoco.MjData(model)
@@ -53,7 +53,7 @@ class SensorReader:
         self._state = np.empty(mujoco.mj_stateSize(model, _STATE))
         self._first = first
         self._gyroscope, self._joints = self._layout.columns.gyroscope, self._layout.columns.joint_position
-        torso = model.body(self._layout.torso).id
+        torso = model.body(instrumentation.torso).id
         self._encoders = model.jnt_qposadr[list(encoders(model, torso))]
         joint = model.body_jntadr[torso]
         free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
@@ -187,7 +187,7 @@ class FeetReader:
 
     def now(self) -> FeetTruth:
         """Read the present state, shape (1, ...)."""
-        return FeetTruth(self.row()[None], self.layout)
+        return FeetTruth(self.row()[None], self.layout.rows)
 
     def still(self) -> AbstractContextManager[None]:
         """Do nothing: there is nothing in the model that could be seen."""
@@ -201,7 +201,7 @@ class FeetReader:
         mujoco.mj_forward(model, own)
         mujoco.mj_rnePostConstraint(model, own)
         mujoco.mj_subtreeVel(model, own)
-        row = np.zeros(self.layout.size)
+        row = np.zeros(self.layout.rows.size)
         split = FootColumns.width * len(self._feet)
         feet = row[:split].reshape(-1, FootColumns.width)
         for i, foot in enumerate(feet):

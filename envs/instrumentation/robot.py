@@ -3,7 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple, Protocol
+from math import atan2
+from typing import Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -82,32 +83,61 @@ CellMap = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Factors from data of F feet to the forces of 4 F cells, shape (n, 4 F), and N to add, shape (4 F,)."""
 
 
-class RowLayout(Protocol):
+@dataclass(frozen=True, eq=False)
+class RowLayout:
     """The meaning of a row, and how cells share the loads in it.
 
     The cells' data are wrenches at the soles, shape (6 F), where ``columns.sensed.soles`` says that these are
     made first; otherwise columns from ``columns.sensed.cells`` on.
     """
 
-    @property
-    def columns(self) -> RowColumns:
-        """Where in a row the parts stand."""
+    size: int  # columns of a row
+    columns: RowColumns
+    flat: tuple[bool, ...]  # which feet have an area, (F)
+    flaw: str  # why not all feet have cells, or empty
+    cell_map: CellMap  # from the cells' data to their forces
+    shear_map: NDArray[np.float64]
+    """Factors from these data to the cells' horizontal forces, along x of all, then y, shape (n, 8 F)."""
 
-    @property
-    def flaw(self) -> str:
-        """Why not all feet have cells, or empty."""
+    def force_cell(self, row: NDArray[np.float64], wrench: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return forces of the cells in N, (..., 4 F), of a row and of wrenches at the soles, (..., 6 F)."""
+        (factors, added), sensed = self.cell_map, self.columns.sensed
+        data = wrench if sensed.soles else row[..., sensed.cells : sensed.cells + len(factors)]
+        force: NDArray[np.float64] = (data[..., None, :] @ factors)[..., 0, :]
+        return force if sensed.soles else force + added
 
-    @property
-    def flat(self) -> tuple[bool, ...]:
-        """Which feet have an area, (F)."""
+    def level(self, row: Sequence[float]) -> tuple[float, float, float]:
+        """Return where the level frame of the soles is (x, y) in m, and its heading in rad."""
+        x = y = along = across = 0.0
+        for at, axes in zip(*self._starts("position_sole", "axes_sole"), strict=True):
+            x, y = x + row[at], y + row[at + 1]
+            along, across = along + row[axes], across + row[axes + 1]
+        share = 1.0 / len(self.flat)
+        return share * x, share * y, atan2(across, along)
 
-    @property
-    def cell_map(self) -> CellMap:
-        """The map from the cells' data to their forces."""
+    def feet(self, row: Sequence[float]) -> list[list[float]]:
+        """Take the 21 numbers of each foot after its ankle out of a row, (F, 21)."""
+        starts = zip(*self._starts("ground", "position_sole", "axes_sole"), strict=True)
+        return [[*row[i : i + 9], *row[j : j + 3], *row[k : k + 9]] for i, j, k in starts]
 
-    @property
-    def shear_map(self) -> NDArray[np.float64]:
-        """Factors from these data to the cells' horizontal forces, along x of all, then y, shape (n, 8 F)."""
+    def _starts(self, *names: str) -> list[list[int]]:
+        """Return the first number of parts, of each foot."""
+        return [getattr(self.columns, name)[:, 0].tolist() for name in names]
+
+
+def share_loads(plates: Sequence[SolePlate | None]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return all cells' forces by wrenches at the soles: upwards, (6 F, 4 F); along x, then y, (6 F, 8 F).
+
+    Cells of a foot without a plate feel nothing.
+    """
+    number = len(plates)
+    up, across = np.zeros((6 * number, 4 * number)), np.zeros((6 * number, 2, 4 * number))
+    for i, plate in enumerate(plates):
+        if plate is not None:
+            cells = slice(4 * i, 4 * i + 4)
+            up[6 * i + 2 : 6 * i + 5, cells] = plate.share.T
+            across[6 * i + np.array([0, 1, 5]), :, cells] = plate.across.T.reshape(3, 2, 4)
+    return up, across.reshape(6 * number, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,38 +157,16 @@ class MeasuredRobot:
         """Why not all feet have cells, or empty."""
         return next((foot.flaw for foot in self.feet if foot.flaw), "")
 
-    @property
-    def flat(self) -> tuple[bool, ...]:
-        """Which feet have an area, (F)."""
-        return tuple(not foot.flaw for foot in self.feet)
-
     @cached_property
-    def cell_map(self) -> CellMap:
-        """Forces of all cells by the wrenches at the soles, factors of shape (6 F, 4 F); nothing to add."""
-        shares = np.zeros((6 * len(self.feet), 4 * len(self.feet)))
-        for i, plate in enumerate(self.plates):
-            if plate is not None:
-                shares[6 * i + 2 : 6 * i + 5, 4 * i : 4 * i + 4] = plate.share.T
-        return shares, np.zeros(shares.shape[1])
+    def rows(self) -> RowLayout:
+        """The layout of its rows: 27 numbers a foot, 27 of the torso, one a joint, and the time."""
+        return self.rows_after(0)
 
-    @cached_property
-    def shear_map(self) -> NDArray[np.float64]:
-        """Horizontal forces of all cells along x, and then y, by these wrenches, shape (6 F, 8 F)."""
-        shares = np.zeros((6 * len(self.feet), 2, 4 * len(self.feet)))
-        for i, plate in enumerate(self.plates):
-            if plate is not None:
-                shares[6 * i + np.array([0, 1, 5]), :, 4 * i : 4 * i + 4] = plate.across.T.reshape(3, 2, 4)
-        return shares.reshape(len(shares), -1)
-
-    @cached_property
-    def columns(self) -> RowColumns:
-        """Where in a row the parts stand."""
-        return self.columns_after(0)
-
-    def columns_after(self, start: int) -> RowColumns:
-        """Return where the parts stand in rows in which others stand before them, so many."""
-        feet = start + FootColumns.width * np.arange(len(self.feet))[:, None]
-        torso = int(start + FootColumns.width * len(self.feet))
+    def rows_after(self, start: int) -> RowLayout:
+        """Return the layout of rows in which other numbers stand before the robot's, so many."""
+        number = len(self.feet)
+        feet = start + FootColumns.width * np.arange(number)[:, None]
+        torso = int(start + FootColumns.width * number)
         joints = torso + TORSO_WIDTH
         ankle, ground, sole, axes = (
             feet + np.arange(part.start, part.stop)
@@ -166,21 +174,19 @@ class MeasuredRobot:
                 FootColumns.ankle, FootColumns.contact, FootColumns.position_sole, FootColumns.axes_sole
             )
         )  # fmt: skip
-        return RowColumns(
+        columns = RowColumns(
             ankle, ground, -1.0, sole, axes,
             **{name: slice(torso + part.start, torso + part.stop) for name, part in TORSO.items()},
             joint_position=slice(joints, joints + len(self.joint_names)),
             sensed=SensedColumns(
                 joints, torso + TORSO["inertial"].start, int(ankle[0, 0]), int(ground[0, 0]),
-                FootColumns.width, len(self.feet),
+                FootColumns.width, number,
             ),
             time=joints + len(self.joint_names),
         )  # fmt: skip
-
-    @property
-    def size(self) -> int:
-        """Columns of a row: 27 a foot, 27 for the torso, one a joint, and the time."""
-        return FootColumns.width * len(self.feet) + TORSO_WIDTH + len(self.joint_names) + 1
+        up, across = share_loads(self.plates)
+        flat = tuple(not foot.flaw for foot in self.feet)
+        return RowLayout(columns.time + 1, columns, flat, self.flaw, (up, np.zeros(4 * number)), across)
 
 
 def measure_robot(

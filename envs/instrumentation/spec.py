@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_robot
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.geometry import FootGeometry
-from surefoot.envs.instrumentation.plate import SolePlate
 from surefoot.envs.instrumentation.robot import MeasuredRobot, joint_name, measure_robot
 from surefoot.envs.instrumentation.truth import FeetTruth
 
@@ -51,11 +50,6 @@ class Instrumentation:
         return self.layout.cells
 
     @property
-    def plates(self) -> tuple[SolePlate | None, ...]:
-        """How these cells share a load."""
-        return self.layout.plates
-
-    @property
     def torso(self) -> str:
         """Name of the body that carries the robot."""
         return self.layout.torso
@@ -79,7 +73,7 @@ class Instrumentation:
 
     def read_rows(self, model: mujoco.MjModel, sensordata: NDArray[np.float64]) -> FeetTruth:
         """Read sensor data that was recorded, shape (..., nsensordata)."""
-        return FeetTruth(sensordata[..., self.columns(model)].copy(), self.layout)
+        return FeetTruth(sensordata[..., self.columns(model)].copy(), self.layout.rows)
 
     def columns(self, model: mujoco.MjModel) -> slice:
         """Find where the sensors that were added lie in the sensor data of a model.
@@ -93,7 +87,7 @@ class Instrumentation:
                 f"The model has no sensor '{self.first_sensor}': compile the instrumented spec and read that."
             )
         start = int(model.sensor_adr[number])
-        return slice(start, start + self.layout.size)
+        return slice(start, start + self.layout.rows.size)
 
 
 def instrument(

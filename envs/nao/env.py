@@ -12,7 +12,7 @@ from surefoot.envs.command import Command
 from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_nao
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.nao.disturbances import Payload, Pushes
-from surefoot.envs.nao.truth import TruthChannels
+from surefoot.envs.nao.truth import truth_layout
 from surefoot.envs.observation import FORCE_BOUND, Observation, Seen, closeness
 from surefoot.envs.options import (
     check_range,
@@ -211,10 +211,11 @@ class NaoEnv(BipedEnv):
         check_render_mode(render_mode, self.metadata["render_modes"])
 
         model = nao_model()
-        self.channels = TruthChannels(model, stiffness)
+        self.channels = truth_layout(model, stiffness)
         super().__init__(
             model,
-            self.channels.places,
+            self.channels,
+            hinge_joint_names(model),
             substeps=SUBSTEPS,
             legs=slice(0, len(LEG_MOTORS)),
             leg_motors=LEG_MOTORS,
@@ -225,7 +226,6 @@ class NaoEnv(BipedEnv):
             prelude=prelude,
         )
         self._draw_by(SceneRenderer(model, self.data, camera, width, height), render_mode)
-        self.joint_names = hinge_joint_names(model)
         self.motor_names = motor_names(model)
         self.position_cell_sole = cell_positions(model)
         give = check_time_constant("ground_time_constant", ground_time_constant)

@@ -8,8 +8,8 @@ import pytest
 from _native import library_of
 
 from surefoot.envs.exercise.env import ExerciseEnv
-from surefoot.envs.instrumentation.means import FootPlaces, MeanTruth, mean_truth
-from surefoot.envs.instrumentation.robot import RowColumns
+from surefoot.envs.instrumentation.means import MeanTruth, mean_truth
+from surefoot.envs.instrumentation.robot import RowColumns, RowLayout
 from surefoot.envs.instrumentation.truth import CONTACT_FORCE
 from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.observation import STATE, Look
@@ -62,11 +62,11 @@ def look_by_python(monkeypatch, env, *arguments) -> Look:
 @pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
 def test_the_mean_truth_of_many_is_that_of_each(env):
     rows = rows_of(env, np.random.default_rng(0), blown_up=True)
-    means, places = env.mean_truth, env.mean_truth._places
+    means = env.mean_truth
     many = means(rows, THREADS)
     assert 0 < many["cop_valid"].sum() < many["cop_valid"].size
     for i, own in enumerate(rows[:12]):
-        python = mean_truth(own, places)
+        python = mean_truth(own, means._layout)
         same(python, means(own))
         if np.isfinite(own).all():  # which number is none is nobody's business
             same(python, {name: np.ascontiguousarray(part[i]) for name, part in many.items()})
@@ -99,13 +99,14 @@ def test_any_number_of_feet_has_a_mean_truth():
     nowhere: dict[str, Any] = dict.fromkeys(RowColumns._fields)
     there = {"ankle": ankle, "ground": ground, "position_sole": sole, "axes_sole": axes, "up": -1.0}
     columns = RowColumns(**(nowhere | there | {"com": slice(108, 111)}))
-    places = FootPlaces(columns, (True, False, True, False), None)
+    none = np.zeros(0)
+    layout = RowLayout(111, columns, (True, False, True, False), "feet without area", (none, none), none)
     rng = np.random.default_rng(2)
     rows = rng.normal(0.0, 1.0, (SUBSTEPS, 111))
     rows[:, [start + 8 for start in starts]] = -10.0 * CONTACT_FORCE
     rows[:, [start + 26 for start in starts]] = 3.0
-    found = MeanTruth(places)(rows)
-    same(mean_truth(rows, places), found)
+    found = MeanTruth(layout)(rows)
+    same(mean_truth(rows, layout), found)
     assert found["cop_valid"].tolist() == [True, True, False, True, False]
     assert found["vgrf"].tolist() == [10.0 * CONTACT_FORCE] * 4
     assert "force_cell" not in found

@@ -10,7 +10,7 @@ from surefoot.envs.instrumentation.drawing import draw_nao
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.nao.env import SUBSTEPS, NaoEnv
 from surefoot.envs.nao.stand import NaoStandEnv
-from surefoot.envs.nao.truth import TruthChannels
+from surefoot.envs.nao.truth import truth_layout
 from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.robots.nao import FEET, load_nao_spec
 
@@ -166,7 +166,7 @@ def test_hanging_feet_read_zero_and_ankle_sensors_carry_them():
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] = 1.0
     mujoco.mj_step(model, data, 4000)
-    truth = FeetTruth(data.sensordata.copy()[None], TruthChannels(model, np.ones(8)))
+    truth = FeetTruth(data.sensordata.copy()[None], truth_layout(model, np.ones(8)))
     # The ankles sag by a milliradian, and so the plates' weight by a few millinewtons.
     np.testing.assert_allclose(truth.force_cell, 0.0, atol=0.01)
     np.testing.assert_allclose(truth.force_cell.reshape(2, 4).sum(axis=-1), 0.0, atol=1e-3)

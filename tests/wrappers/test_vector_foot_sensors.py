@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import surefoot  # noqa: F401
-from surefoot.envs.instrumentation.means import foot_places, mean_truth
+from surefoot.envs.instrumentation.means import mean_truth
 from surefoot.sensors import LoadCells, Wire, preset
 from surefoot.wrappers import FootSensors
 from surefoot.wrappers.vector.foot_sensors import VectorFootSensors
@@ -112,7 +112,7 @@ def test_perfect_cells_read_the_truth_and_truth_is_each_copys_own():
     for i, copy in enumerate(copies.envs):
         truth = copy.unwrapped.truth
         np.testing.assert_allclose(seen["foot_raw"][i], truth.force_cell.mean(axis=0), atol=1e-4)
-        own = mean_truth(truth.rows, foot_places(truth.layout))
+        own = mean_truth(truth.rows, truth.layout)
         assert set(told) == set(own)
         for name, part in own.items():
             np.testing.assert_allclose(told[name][i], part, atol=1e-12)
@@ -286,7 +286,7 @@ def test_feet_without_area_have_no_centre_of_pressure_in_the_truth_either():
         assert not told["cop_valid"][:, 1:].any()
     assert pressed > 5
     for i, copy in enumerate(copies.envs):
-        own = mean_truth(copy.env.truth.rows, foot_places(copy.env.truth.layout))
+        own = mean_truth(copy.env.truth.rows, copy.env.truth.layout)
         np.testing.assert_allclose(own["vgrf"], told["vgrf"][i])
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surefoot.calibration import Parameters
 from surefoot.calibration.checks import check_flag
 from surefoot.envs import FeetTruth, RobotDrawing
-from surefoot.envs.instrumentation.means import MeanTruth, foot_places
+from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.native import cores
 from surefoot.pickles import OfOneVersion
 from surefoot.robot.sensing.condition import Faults, severity_of_each
@@ -127,7 +127,7 @@ class BatchSensors(OfOneVersion):
         if not isinstance(seed, Sequence) and seed is not None:
             each = [seed + robot for robot in range(count)]  # one number counts up, as Gymnasium has it
         self._key = self._attribute("row_key")[0]
-        self._mean_truth = MeanTruth(foot_places(self._key))
+        self._mean_truth = MeanTruth(self._key)
         self.begin(rows, mask, each, asked)
 
     def step(self, rows: Rows, starting: Mask | None = None, fell: Mask | None = None) -> None:
