@@ -22,12 +22,9 @@ class PythonFilter:
     Args:
         method: The method.
         state: The state, a value; ``None`` before the first sample.
-
-    Attributes:
-        library: The library that it runs in, if it does.
     """
 
-    library: Library | None = None
+    library: Library | None = None  # the library that it runs in, if it does
 
     def __init__(self, method: OnlineMethod, state: Any = None) -> None:
         self._method, self.state = method, state

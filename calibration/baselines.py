@@ -55,23 +55,14 @@ class SwingTare:
 
 
 class TareState(NamedTuple):
-    """The state of the tare.
+    """The state of the tare."""
 
-    Attributes:
-        front: The state of the front end.
-        airborne: Samples that each channel's foot has been in the air for, shape (K,).
-        count: Readings of this swing that were used, shape (K,).
-        mean: Their mean in N, shape (K,).
-        scatter: Sum of their squared deviations in N^2, shape (K,).
-        offset: b in N, shape (K,).
-    """
-
-    front: FrontState
-    airborne: Array
-    count: Array
-    mean: Array
-    scatter: Array
-    offset: Array
+    front: FrontState  # the state of the front end
+    airborne: Array  # samples that each channel's foot has been in the air for, shape (K,)
+    count: Array  # readings of this swing that were used, shape (K,)
+    mean: Array  # their mean in N, shape (K,)
+    scatter: Array  # sum of their squared deviations in N^2, shape (K,)
+    offset: Array  # b in N, shape (K,)
 
 
 def tare(setup: OnlineSetup, config: SwingTare | None = None) -> OnlineMethod:

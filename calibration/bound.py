@@ -31,19 +31,13 @@ Floats = NDArray[np.float64]
 
 
 class Bound(NamedTuple):
-    """Standard deviations that no estimate can be below on average, at N samples of K channels.
+    """Standard deviations that no estimate can be below on average, at N samples of K channels."""
 
-    Attributes:
-        force: Of single channels in N, shape (N, K).
-        vgrf: Of the vertical force on both feet in N, shape (N,).
-        cop: Of the centre of pressure along x and y in the level frame in m, shape (N, 2); NaN without load.
-        covariance: Of (a, b) against the starting map at the end, shape (2K, 2K).
-    """
-
-    force: Floats
-    vgrf: Floats
+    force: Floats  # of single channels in N, shape (N, K)
+    vgrf: Floats  # of the vertical force on both feet in N, shape (N,)
     cop: Floats
-    covariance: Floats
+    """Of the centre of pressure along x and y in the level frame in m, shape (N, 2); NaN without load."""
+    covariance: Floats  # of (a, b) against the starting map at the end, shape (2K, 2K)
 
 
 def posterior_bound(
@@ -82,16 +76,11 @@ class Passage(NamedTuple):
 
     A random walk has :math:`\Gamma = Q`, rows have :math:`\Psi = H' R^{-1} H`, and pieces one after the
     other are a piece again (Redheffer's star product), so that a motion of many blocks costs one solution.
-
-    Attributes:
-        carried: :math:`\Phi`, shape (N, N).
-        information: :math:`\Psi`, shape (N, N).
-        added: :math:`\Gamma`, shape (N, N).
     """
 
-    carried: Floats
-    information: Floats
-    added: Floats
+    carried: Floats  # :math:`\Phi`, shape (N, N)
+    information: Floats  # :math:`\Psi`, shape (N, N)
+    added: Floats  # :math:`\Gamma`, shape (N, N)
 
     @classmethod
     def move(cls, carried: Floats, added: Floats) -> "Passage":

@@ -27,18 +27,13 @@ from surefoot.calibration.reference import GRAVITY, Reference
 
 
 class GroundReference(NamedTuple):
-    """The ground force that is expected.
+    """The ground force that is expected."""
 
-    Attributes:
-        vgrf: Total vertical force in N, shape (...).
-        cop: Centre of pressure of both feet in the level frame in m, shape (..., 2); NaN where the force does
-            not exceed the threshold.
-        moment: (Fz px, Fz py) in N m, shape (..., 2): defined also where the centre of pressure is not.
-    """
-
-    vgrf: Array
+    vgrf: Array  # total vertical force in N, shape (...)
     cop: Array
-    moment: Array
+    """Centre of pressure of both feet in the level frame in m, shape (..., 2); NaN where the force does not
+    exceed the threshold."""
+    moment: Array  # (Fz px, Fz py) in N m, shape (..., 2): defined also where the centre of pressure is not
 
 
 def ground_height(reference: Reference) -> Array:

@@ -68,28 +68,18 @@ class MovingRobot:
 
 @dataclass(frozen=True, eq=False)
 class FootExcitation:
-    """Motions to do, and their gain.
+    """Motions to do, and their gain."""
 
-    Attributes:
-        goal: The quantity to lower.
-        motions: Their names, in order.
-        time: Time after each in s, shape (S,).
-        before: The goal's standard deviation before, in m for the centre of pressure and N for a channel.
-        std: That after each motion, shape (S,).
-        rates: Information per second that each possible motion would bring first, in nats: the logarithm of
-            standard deviation before by after, over its duration.
-        covariance_before: Of (a, b) of all channels before, shape (2K, 2K).
-        covariance: That after the last.
-    """
-
-    goal: str
-    motions: tuple[str, ...]
-    time: Floats
-    before: float
-    std: Floats
+    goal: str  # the quantity to lower
+    motions: tuple[str, ...]  # their names, in order
+    time: Floats  # time after each in s, shape (S,)
+    before: float  # the goal's standard deviation before, in m for the centre of pressure and N for a channel
+    std: Floats  # that after each motion, shape (S,)
     rates: Mapping[str, float]
-    covariance_before: Floats
-    covariance: Floats
+    """Information per second that each possible motion would bring first, in nats: the logarithm of standard
+    deviation before by after, over its duration."""
+    covariance_before: Floats  # of (a, b) of all channels before, shape (2K, 2K)
+    covariance: Floats  # that after the last
 
 
 def plan_foot_excitation(

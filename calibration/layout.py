@@ -32,22 +32,16 @@ class FootSensor:
     The mass beyond a sensor (the sole plate under load cells, the whole foot below an ankle sensor) moves
     with the foot, so that the sensor feels its inertia. Its weight at level rest counts as part of the
     offset.
-
-    Attributes:
-        channels: Its channels within the foot.
-        wrench_map: Its own sole wrench per unit of each of its channels, shape (6, channels).
-        six_axis: Whether its channels are the axes of one six-axis sensor, which may talk across.
-        share: Share of its wrench in the foot's, axis by axis, shape (6,).
-        mass_below: Mass beyond it in kg.
-        com_below_sole: Centre of that mass in the sole frame in m, shape (3,).
     """
 
-    channels: slice
+    channels: slice  # its channels within the foot
     wrench_map: NDArray[np.float64]
-    six_axis: bool
-    share: NDArray[np.float64]
-    mass_below: float = 0.0
+    """Its own sole wrench per unit of each of its channels, shape (6, channels)."""
+    six_axis: bool  # whether its channels are the axes of one six-axis sensor, which may talk across
+    share: NDArray[np.float64]  # share of its wrench in the foot's, axis by axis, shape (6,)
+    mass_below: float = 0.0  # mass beyond it in kg
     com_below_sole: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    """Centre of that mass in the sole frame in m, shape (3,)."""
 
 
 @dataclass(frozen=True, eq=False)

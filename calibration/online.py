@@ -56,22 +56,15 @@ MethodOptions = Moment | Window | SwingTare
 
 
 class MethodEntry(NamedTuple):
-    """One line of the table.
-
-    Attributes:
-        build: ``build(setup, config) -> OnlineMethod``; a method without options takes no config.
-        config: The dataclass of its options, or ``None``.
-        certain: Whether it reports a covariance.
-        momentum: Whether it would rather learn from a
-            :class:`~surefoot.calibration.reference.MomentumReference`.
-        contact: Whether it reports how likely feet bear load, and how much is undetermined.
-    """
+    """One line of the table."""
 
     build: Callable[..., OnlineMethod]
-    config: type[Any] | None = None
-    certain: bool = False
+    """``build(setup, config) -> OnlineMethod``; a method without options takes no config."""
+    config: type[Any] | None = None  # the dataclass of its options, or ``None``
+    certain: bool = False  # whether it reports a covariance
     momentum: bool = False
-    contact: bool = False
+    """Whether it would rather learn from a :class:`~surefoot.calibration.reference.MomentumReference`."""
+    contact: bool = False  # whether it reports how likely feet bear load, and how much is undetermined
 
 
 _METHODS = {

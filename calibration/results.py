@@ -47,49 +47,31 @@ class CalibrationRefused(ValueError):  # noqa: N818 - a refusal is not an error 
 
 @dataclass(frozen=True)
 class FitStats:
-    """How a fit came out.
+    """How a fit came out."""
 
-    Attributes:
-        samples: Samples that were used.
-        dropped: Samples left out because a value was missing or not finite.
-        gated: Samples left out by the method's own gates (too little force, too much motion).
-        residual_rms: Root mean square of the residual, in the unit of the fitted data.
-        rank: Number of unknown directions that the data determined.
-        unknowns: Number of unknowns.
-        condition: Condition number of the scaled least-squares matrix, infinite where the rank is short; for
-            a fit with priors, the ratio of the least to the most certain direction's deviation.
-    """
-
-    samples: int
-    dropped: int
-    gated: int
-    residual_rms: float
-    rank: int
-    unknowns: int
+    samples: int  # samples that were used
+    dropped: int  # samples left out because a value was missing or not finite
+    gated: int  # samples left out by the method's own gates (too little force, too much motion)
+    residual_rms: float  # root mean square of the residual, in the unit of the fitted data
+    rank: int  # number of unknown directions that the data determined
+    unknowns: int  # number of unknowns
     condition: float
+    """Condition number of the scaled least-squares matrix, infinite where the rank is short; for a fit with
+    priors, the ratio of the least to the most certain direction's deviation."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of a check.
+    """Result of a check."""
 
-    Attributes:
-        name: Of the check.
-        reason: The observation, in a sentence.
-        cure: Advice for the user; empty if nothing need be done.
-        value: That was held against a limit.
-        limit: The limit.
-        refuses: Whether an answer must not be given without a reason of the caller's.
-        contradicts: Whether sets contradict each other or themselves, for which there may be many causes.
-    """
-
-    name: str
-    reason: str
-    cure: str = ""
-    value: float = float("nan")
-    limit: float = float("nan")
-    refuses: bool = True
+    name: str  # of the check
+    reason: str  # the observation, in a sentence
+    cure: str = ""  # advice for the user; empty if nothing need be done
+    value: float = float("nan")  # that was held against a limit
+    limit: float = float("nan")  # the limit
+    refuses: bool = True  # whether an answer must not be given without a reason of the caller's
     contradicts: bool = False
+    """Whether sets contradict each other or themselves, for which there may be many causes."""
 
     @property
     def refusal(self) -> CalibrationRefused:

@@ -53,47 +53,27 @@ PLAUSIBLE_WEIGHTS = 20.0
 
 
 class StandingState(NamedTuple):
-    """The samples so far.
+    """The samples so far."""
 
-    Attributes:
-        time: Time since the start in s.
-        samples: Samples that were used.
-        dropped: Samples after warming up with a value that is not finite or absurd.
-        gated: Samples after warming up without contact or with motion.
-        information: Sum of J' J over the whitened rows, shape (2 K + 3, 2 K + 3).
-        gradient: Sum of J' y, shape (2 K + 3,).
-        energy: Sum of y' y.
-    """
-
-    time: float
-    samples: int
-    dropped: int
-    gated: int
-    information: Array
-    gradient: Array
-    energy: float
+    time: float  # time since the start in s
+    samples: int  # samples that were used
+    dropped: int  # samples after warming up with a value that is not finite or absurd
+    gated: int  # samples after warming up without contact or with motion
+    information: Array  # sum of J' J over the whitened rows, shape (2 K + 3, 2 K + 3)
+    gradient: Array  # sum of J' y, shape (2 K + 3,)
+    energy: float  # sum of y' y
 
 
 class StandingEstimate(NamedTuple):
-    """Starting values.
+    """Starting values."""
 
-    Attributes:
-        parameters: The map (c, d) of the readings, shape (K,) each.
-        correction: The same as (a, b) of F = a F0 + b, shape (K,) each.
-        covariance: Of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K).
-        rank: Directions of (a, b) whose variance the samples at least halved.
-        residual_rms: Root mean square of the residual, in multiples of the noise that was assumed.
-        condition: Ratio of the most to the least constrained direction's standard deviation.
-        ready: Whether enough samples came over enough time.
-    """
-
-    parameters: Parameters
-    correction: Parameters
-    covariance: Array
-    rank: int
-    residual_rms: float
-    condition: float
-    ready: bool
+    parameters: Parameters  # the map (c, d) of the readings, shape (K,) each
+    correction: Parameters  # the same as (a, b) of F = a F0 + b, shape (K,) each
+    covariance: Array  # of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K)
+    rank: int  # directions of (a, b) whose variance the samples at least halved
+    residual_rms: float  # root mean square of the residual, in multiples of the noise that was assumed
+    condition: float  # ratio of the most to the least constrained direction's standard deviation
+    ready: bool  # whether enough samples came over enough time
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

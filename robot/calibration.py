@@ -39,17 +39,11 @@ from surefoot.sensors.presets import REFERENCE_WEIGHT
 
 
 class Learnt(NamedTuple):
-    """The memory that a robot keeps from episode to episode.
+    """The memory that a robot keeps from episode to episode."""
 
-    Attributes:
-        state: State of the calibrator.
-        initial: The map that it began from.
-        masses: The robot's beliefs of its bodies.
-    """
-
-    state: Any
-    initial: Parameters
-    masses: Masses
+    state: Any  # state of the calibrator
+    initial: Parameters  # the map that it began from
+    masses: Masses  # the robot's beliefs of its bodies
 
 
 ALIASED: Final = 4.0

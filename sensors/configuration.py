@@ -11,15 +11,12 @@ Config = TypeVar("Config")
 
 
 class ErrorField(NamedTuple):
-    """Marks a field of a configuration as an error: it grows with the severity, and zero is no error.
-
-    Attributes:
-        most: The largest value to which a severity above 1 takes it. Beyond, readings would fall under a
-            growing load (nonlinearity, hysteresis), more would stay of an overload than there was, more
-            readings would be wrong than there are, no reading would be new, or a sensor would lose an axis.
-    """
+    """Marks a field of a configuration as an error: it grows with the severity, and zero is no error."""
 
     most: float = inf
+    """The largest value to which a severity above 1 takes it. Beyond, readings would fall under a growing
+    load (nonlinearity, hysteresis), more would stay of an overload than there was, more readings would be
+    wrong than there are, no reading would be new, or a sensor would lose an axis."""
 
 
 class Rule(NamedTuple):

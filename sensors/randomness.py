@@ -61,16 +61,14 @@ class Stream:
     Args:
         key: The key, a whole number of 64 bits.
 
-    Attributes:
-        record: The key and the number of the next block, fields ``key`` and ``count``, shape (): the whole
-            state, as C has it.
-
     >>> one, same = Stream.of(7, 3), Stream.of(7, 3)
     >>> bool((one.standard_normal((2, 8)) == same.standard_normal((2, 8))).all())
     True
     """
 
     record: NDArray[Any]
+    """The key and the number of the next block, fields ``key`` and ``count``, shape (): the whole state, as C
+    has it."""
     _first: int
     _uniform: NDArray[np.float64]
     _normal: NDArray[np.float64]

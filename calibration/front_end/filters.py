@@ -20,16 +20,11 @@ from surefoot.calibration.arrays import Array
 
 
 class LowPass(NamedTuple):
-    """A causal filter as a pair of pure functions over C signals side by side, shape (C,).
-
-    Attributes:
-        init: ``init(signal) -> state``: the state of a filter that has seen this value for ever, shape
-            (2, C).
-        apply: ``apply(signal, state) -> (filtered, state)``.
-    """
+    """A causal filter as a pair of pure functions over C signals side by side, shape (C,)."""
 
     init: Callable[[Array], Array]
-    apply: Callable[[Array, Array], tuple[Array, Array]]
+    """``init(signal) -> state``: the state of a filter that has seen this value for ever, shape (2, C)."""
+    apply: Callable[[Array, Array], tuple[Array, Array]]  # ``apply(signal, state) -> (filtered, state)``
 
 
 def low_pass(cutoff: float, dt: float) -> LowPass:

@@ -37,58 +37,34 @@ Repair = Callable[[Array, Array], tuple[Array, Array]]
 
 
 class FrontState(NamedTuple):
-    """The state of the front end.
+    """The state of the front end."""
 
-    Attributes:
-        raw: Last good reading of each channel, shape (K,).
-        history: The last ``lag`` + 1 samples, four at least where readings have an age, oldest first: F0
-            and whether it was read, shape (lag + 1, 2K).
-        motion: The last good reference, flat, shape (R,).
-        known: Whether any reference was good so far.
-        clean: Good samples since the last bad one.
-    """
-
-    raw: Array
+    raw: Array  # last good reading of each channel, shape (K,)
     history: Array
-    motion: Array
-    known: bool
-    clean: int
+    """The last ``lag`` + 1 samples, four at least where readings have an age, oldest first: F0 and whether it
+    was read, shape (lag + 1, 2K)."""
+    motion: Array  # the last good reference, flat, shape (R,)
+    known: bool  # whether any reference was good so far
+    clean: int  # good samples since the last bad one
 
 
 class Sample(NamedTuple):
-    """One sample, checked and aligned; F feet.
+    """One sample, checked and aligned; F feet."""
 
-    Attributes:
-        force: Newest force by the starting map, F0, in N, shape (K,).
-        ahead: The same carried on to now; ``None`` where readings have no age.
-        rows: Rows of (Fz, Fz px, Fz py) of each foot by channel in the level frame, shape (F, 3, K).
-        past: F0 at the time that the reference describes, shape (K,).
-        read: Whether ``past`` was read and not held (bool), shape (K,).
-        sound: Whether the reference is good and the clock did not jump.
-        good: Whether the sample may be learnt from: sound, and every channel read.
-        clean: Good samples since the last bad one, this one included.
-        motion: The reference, flat; the last good one where this one was not, shape (R,).
-        stance: Feet surely on the ground by a reference that is good (bool), shape (F,).
-        swing: Feet surely in the air by a reference that is good (bool), shape (F,).
-        known: Whether any reference was good so far.
-        flags: Flaws of the newest readings and the reference, shape (K,).
-        gap: Whether the clock jumped, so that the last sample and this one do not belong together.
-    """
-
-    force: Array
-    ahead: Array | None
-    rows: Array
-    past: Array
-    read: Array
-    sound: bool
-    good: bool
-    clean: int
-    motion: Array
-    stance: Array
-    swing: Array
-    known: bool
-    flags: Array
-    gap: bool
+    force: Array  # newest force by the starting map, F0, in N, shape (K,)
+    ahead: Array | None  # the same carried on to now; ``None`` where readings have no age
+    rows: Array  # rows of (Fz, Fz px, Fz py) of each foot by channel in the level frame, shape (F, 3, K)
+    past: Array  # F0 at the time that the reference describes, shape (K,)
+    read: Array  # whether ``past`` was read and not held (bool), shape (K,)
+    sound: bool  # whether the reference is good and the clock did not jump
+    good: bool  # whether the sample may be learnt from: sound, and every channel read
+    clean: int  # good samples since the last bad one, this one included
+    motion: Array  # the reference, flat; the last good one where this one was not, shape (R,)
+    stance: Array  # feet surely on the ground by a reference that is good (bool), shape (F,)
+    swing: Array  # feet surely in the air by a reference that is good (bool), shape (F,)
+    known: bool  # whether any reference was good so far
+    flags: Array  # flaws of the newest readings and the reference, shape (K,)
+    gap: bool  # whether the clock jumped, so that the last sample and this one do not belong together
 
 
 class FrontEnd:

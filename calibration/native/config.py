@@ -31,27 +31,17 @@ _OWN = "moment_config", "window_config", "tare_config", None
 
 
 class Constants(NamedTuple):
-    """The constants of one robot and one method.
+    """The constants of one robot and one method."""
 
-    Attributes:
-        number: Of the method in ``native/calibration.c``.
-        config: The record of the robot's, shape ().
-        own: That of the method's, if it has one.
-        state: Name of the record of the state.
-        like: A state of the method's Python, before any sample.
-        front: The way of a sample.
-        covariance: Name of the state's leaf that is the covariance of an estimate; or ``None``.
-        contact: Whether it says how likely feet bear load, and how much is undetermined.
-    """
-
-    number: int
-    config: NDArray[Any]
-    own: NDArray[Any] | None
-    state: str
-    like: Any
-    front: FrontEnd
+    number: int  # of the method in ``native/calibration.c``
+    config: NDArray[Any]  # the record of the robot's, shape ()
+    own: NDArray[Any] | None  # that of the method's, if it has one
+    state: str  # name of the record of the state
+    like: Any  # a state of the method's Python, before any sample
+    front: FrontEnd  # the way of a sample
     covariance: str | None = None
-    contact: bool = False
+    """Name of the state's leaf that is the covariance of an estimate; or ``None``."""
+    contact: bool = False  # whether it says how likely feet bear load, and how much is undetermined
 
     @property
     def untold(self) -> tuple[str, ...]:

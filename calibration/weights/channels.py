@@ -26,20 +26,14 @@ _SAME = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ChannelFit:
-    """Scales and offsets of K channels from known loads.
+    """Scales and offsets of K channels from known loads."""
 
-    Attributes:
-        value: The map F = c S + d; in the unit of the loads (N, or kg as in the paper's Table 2).
-        covariance: Of each channel's (c, d), shape (K, 2, 2), from the scatter of the residuals; NaN for a
-            channel with two samples, which leave none.
-        result: Always determined: a channel that is not is refused.
-        stats: One for each channel; the residual is in the unit of the loads.
-    """
-
-    value: Parameters
+    value: Parameters  # the map F = c S + d; in the unit of the loads (N, or kg as in the paper's Table 2)
     covariance: NDArray[np.float64]
-    result: FitResult
-    stats: tuple[FitStats, ...]
+    """Of each channel's (c, d), shape (K, 2, 2), from the scatter of the residuals; NaN for a channel with
+    two samples, which leave none."""
+    result: FitResult  # always determined: a channel that is not is refused
+    stats: tuple[FitStats, ...]  # one for each channel; the residual is in the unit of the loads
 
 
 def fit_channels(raw: ArrayLike, load: ArrayLike, channel_names: Sequence[str] | None = None) -> ChannelFit:

@@ -30,24 +30,17 @@ __all__ = ["CopCorrectionFit", "fit_cop_correction"]
 
 @dataclass(frozen=True, eq=False)
 class CopCorrectionFit:
-    """The correction of a foot's centre of pressure (CoP paper, Eqs. 3 to 5).
-
-    Attributes:
-        value: (a0, ..., a5, b1, ..., bk) of each axis, shape (2, 6 + k): m, 1, 1, 1/m, 1/m, 1/m, m/N.
-        covariance: Of each axis's coefficients from the scatter of the residuals, shape (2, 6 + k, 6 + k);
-            zero along the directions that were left at zero.
-        result: Whether all coefficients were determined.
-        stats: Of the fit; the residual is the length of the error of the centre of pressure in m.
-        position_cell_sole: Places of the cells in m, shape (k, 2).
-        threshold: Force in N at or below which there is no centre of pressure.
-    """
+    """The correction of a foot's centre of pressure (CoP paper, Eqs. 3 to 5)."""
 
     value: NDArray[np.float64]
+    """(a0, ..., a5, b1, ..., bk) of each axis, shape (2, 6 + k): m, 1, 1, 1/m, 1/m, 1/m, m/N."""
     covariance: NDArray[np.float64]
-    result: FitResult
-    stats: FitStats
-    position_cell_sole: NDArray[np.float64]
-    threshold: float
+    """Of each axis's coefficients from the scatter of the residuals, shape (2, 6 + k, 6 + k); zero along the
+    directions that were left at zero."""
+    result: FitResult  # whether all coefficients were determined
+    stats: FitStats  # of the fit; the residual is the length of the error of the centre of pressure in m
+    position_cell_sole: NDArray[np.float64]  # places of the cells in m, shape (k, 2)
+    threshold: float  # force in N at or below which there is no centre of pressure
 
     def cop(self, force: Array) -> Array:
         """Find the corrected centre of pressure on the sole in m, (..., 2), of forces in N, shape (..., k).

@@ -110,19 +110,12 @@ class Curves:
 
 @dataclass(frozen=True, eq=False)
 class CurveFit:
-    """The curve of one channel under known weights.
+    """The curve of one channel under known weights."""
 
-    Attributes:
-        shape: ``"power law"`` or ``"monotone cubic"``.
-        knots: Readings and straight readings in counts, shape (2, m).
-        std: Error in N at loads that were left out of the fit, root mean square.
-        line_std: That of a line there.
-    """
-
-    shape: str
-    knots: NDArray[np.float64] = field(repr=False)
-    std: float
-    line_std: float
+    shape: str  # ``"power law"`` or ``"monotone cubic"``
+    knots: NDArray[np.float64] = field(repr=False)  # readings and straight readings in counts, shape (2, m)
+    std: float  # error in N at loads that were left out of the fit, root mean square
+    line_std: float  # that of a line there
 
 
 class _Shape(NamedTuple):

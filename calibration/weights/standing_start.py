@@ -21,24 +21,16 @@ __all__ = ["StandingFit", "standing_start"]
 
 @dataclass(frozen=True, eq=False)
 class StandingFit:
-    """Starting values from a recording of quiet standing.
+    """Starting values from a recording of quiet standing."""
 
-    Attributes:
-        value: The map (c, d) of the readings.
-        correction: The same as (a, b) of F = a F0 + b.
-        covariance: Of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K), given that the errors of the robot's
-            mass and centre of mass are as small as assumed.
-        result: Whether all directions were determined; quiet standing alone never does that.
-        stats: Of the fit; the residual is in multiples of the noise that was assumed.
-        duration: How much of the recording was needed, in s.
-    """
-
-    value: Parameters
-    correction: Parameters
+    value: Parameters  # the map (c, d) of the readings
+    correction: Parameters  # the same as (a, b) of F = a F0 + b
     covariance: NDArray[np.float64]
-    result: FitResult
-    stats: FitStats
-    duration: float
+    """Of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K), given that the errors of the robot's mass and
+    centre of mass are as small as assumed."""
+    result: FitResult  # whether all directions were determined; quiet standing alone never does that
+    stats: FitStats  # of the fit; the residual is in multiples of the noise that was assumed
+    duration: float  # how much of the recording was needed, in s
 
 
 def _check_lengths(code: NDArray[np.float64], reference: Reference) -> None:

@@ -25,29 +25,18 @@ _MEDIAN_OF_SQUARE = 0.79
 
 
 class Weights(NamedTuple):
-    """The unit of residuals.
+    """The unit of residuals."""
 
-    Attributes:
-        force: sqrt(w_F) / (M g), per N.
-        cop: sqrt(w_P) / L, per m.
-        threshold: Vertical force in N that a sample must exceed for its rows to count.
-    """
-
-    force: float
-    cop: float
-    threshold: float
+    force: float  # sqrt(w_F) / (M g), per N
+    cop: float  # sqrt(w_P) / L, per m
+    threshold: float  # vertical force in N that a sample must exceed for its rows to count
 
 
 class Linearised(NamedTuple):
-    """The problem of N samples around one theta.
+    """The problem of N samples around one theta."""
 
-    Attributes:
-        residual: (r_F, r_Px, r_Py), zero where a sample does not count, shape (N, 3).
-        jacobian: Its derivative by theta over the spread that was given, shape (N, 3, 2K).
-    """
-
-    residual: Array
-    jacobian: Array
+    residual: Array  # (r_F, r_Px, r_Py), zero where a sample does not count, shape (N, 3)
+    jacobian: Array  # its derivative by theta over the spread that was given, shape (N, 3, 2K)
 
 
 def linearise(
@@ -72,15 +61,10 @@ def linearise(
 
 
 class WindowSolution(NamedTuple):
-    """The result of the iterations.
+    """The result of the iterations."""
 
-    Attributes:
-        theta: Parameters, shape (2K,).
-        solvable: Whether the normal equations could be solved safely.
-    """
-
-    theta: Array
-    solvable: bool
+    theta: Array  # parameters, shape (2K,)
+    solvable: bool  # whether the normal equations could be solved safely
 
 
 def gauss_newton(

@@ -49,43 +49,29 @@ class SampleColumns(NamedTuple):
 
 
 class WindowState(NamedTuple):
-    """The state of the sliding window; F feet.
+    """The state of the sliding window; F feet."""
 
-    Attributes:
-        front: The state of the front end.
-        step: Samples seen.
-        pending: Samples since the last update, oldest first: F0, the flat reference, which feet surely
-            stand, which surely stand or swing, whether the sample may be learnt from, whether it has
-            settled, shape (every, P); see :class:`PendingColumns`.
-        filter: State of the low-pass filter over the C = 6K + 1 numbers of a sample, its rows and the
-            vertical force that its motion asks for, shape (2, C).
-        latest: The last good numbers of a sample, before the filter, shape (C,).
-        started: Whether there was one.
-        contact: Feet that carried weight, and feet that were sure to stand (bool), shape (2F,).
-        since_change: Samples since a foot gained or lost the ground.
-        samples: The window, oldest first: filtered numbers, use and nearness to a change of contact, shape
-            (N, C + 2); see :class:`SampleColumns`.
-        theta: (a, b / (M g)), shape (2K,).
-        status: Flags of the last update.
-        standing: The samples of the standing start.
-        walking: Whether the standing start is over.
-        all_walking: The same, 0 or 1, as saved states have it.
-    """
-
-    front: FrontState
-    step: int
+    front: FrontState  # the state of the front end
+    step: int  # samples seen
     pending: Array
+    """Samples since the last update, oldest first: F0, the flat reference, which feet surely stand, which
+    surely stand or swing, whether the sample may be learnt from, whether it has settled, shape (every, P);
+    see :class:`PendingColumns`."""
     filter: Array
-    latest: Array
-    started: bool
-    contact: Array
-    since_change: int
+    """State of the low-pass filter over the C = 6K + 1 numbers of a sample, its rows and the vertical force
+    that its motion asks for, shape (2, C)."""
+    latest: Array  # the last good numbers of a sample, before the filter, shape (C,)
+    started: bool  # whether there was one
+    contact: Array  # feet that carried weight, and feet that were sure to stand (bool), shape (2F,)
+    since_change: int  # samples since a foot gained or lost the ground
     samples: Array
-    theta: Array
-    status: int
-    standing: StandingState
-    walking: bool
-    all_walking: int
+    """The window, oldest first: filtered numbers, use and nearness to a change of contact, shape (N, C + 2);
+    see :class:`SampleColumns`."""
+    theta: Array  # (a, b / (M g)), shape (2K,)
+    status: int  # flags of the last update
+    standing: StandingState  # the samples of the standing start
+    walking: bool  # whether the standing start is over
+    all_walking: int  # the same, 0 or 1, as saved states have it
 
 
 class SlidingWindow:

@@ -10,13 +10,9 @@ Believes = TypeVar("Believes", Reference, MomentumReference)
 
 
 class Believed:
-    """The last reference, as beliefs of any kind report it.
+    """The last reference, as beliefs of any kind report it."""
 
-    Attributes:
-        believed: The result of the last ``sample()``.
-    """
-
-    believed: Reference | MomentumReference
+    believed: Reference | MomentumReference  # the result of the last ``sample()``
 
     @property
     def known(self) -> bool:

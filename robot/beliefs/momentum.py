@@ -32,20 +32,13 @@ class MomentumRows(NamedTuple):
     """Which vectors of three a row holds, of a robot on F feet.
 
     In axes that are level and whose heading follows the gyroscope: centre of mass in m (0), and
-
-    Attributes:
-        soles: Places of the soles in m.
-        axes: The soles' axes x, y and z.
-        velocity: Of the centre of mass in m/s.
-        momentum: Angular momentum about it in kg m^2/s.
-        width: Number of the vectors.
     """
 
-    soles: slice
-    axes: slice
-    velocity: int
-    momentum: int
-    width: int
+    soles: slice  # places of the soles in m
+    axes: slice  # the soles' axes x, y and z
+    velocity: int  # of the centre of mass in m/s
+    momentum: int  # angular momentum about it in kg m^2/s
+    width: int  # number of the vectors
 
     @classmethod
     def of(cls, feet: int) -> "MomentumRows":
@@ -155,15 +148,10 @@ class MomentumBeliefs(Believed):
 
 
 class Touching(NamedTuple):
-    """The parts of each foot that may touch the ground.
+    """The parts of each foot that may touch the ground."""
 
-    Attributes:
-        places: Centres in the sole frames and radii in m, shape (F, n, 4); radii are 0 of points.
-        rolls: Whether feet stand on any of their sides, so that a sole does not show the level.
-    """
-
-    places: Floats
-    rolls: bool
+    places: Floats  # centres in the sole frames and radii in m, shape (F, n, 4); radii are 0 of points
+    rolls: bool  # whether feet stand on any of their sides, so that a sole does not show the level
 
     @classmethod
     def of(cls, drawing: "RobotDrawing") -> "Touching":

@@ -14,17 +14,11 @@ if TYPE_CHECKING:
 
 
 class Masses(NamedTuple):
-    """A robot's beliefs of its bodies.
+    """A robot's beliefs of its bodies."""
 
-    Attributes:
-        mass: Masses in kg, shape (B,).
-        inertia: Principal moments of inertia in kg m^2, shape (B, 3).
-        com_torso: Centre of mass of the torso's own body in its frame in m, shape (3,).
-    """
-
-    mass: NDArray[np.float64]
-    inertia: NDArray[np.float64]
-    com_torso: NDArray[np.float64]
+    mass: NDArray[np.float64]  # masses in kg, shape (B,)
+    inertia: NDArray[np.float64]  # principal moments of inertia in kg m^2, shape (B, 3)
+    com_torso: NDArray[np.float64]  # centre of mass of the torso's own body in its frame in m, shape (3,)
 
 
 class _Shared:

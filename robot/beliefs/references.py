@@ -58,28 +58,17 @@ class Rows(NamedTuple):
     """Which vectors of three a row holds, of a robot on F feet.
 
     In odometry axes, from the torso's origin: centre of mass and IMU in m (0 and 1), and
-
-    Attributes:
-        soles: Places of the soles in m.
-        axes: The soles' axes x, y and z.
-        momentum: Angular momentum about the centre of mass in kg m^2/s.
-        force: Specific force in m/s^2.
-        acceleration: Of the centre of mass in m/s^2, which follows from the row's neighbours in time.
-        momentum_rate: In N m, likewise.
-        accelerometer: The measurement, in the IMU's own axes, in m/s^2.
-        gyroscope: Likewise, in rad/s.
-        width: Number of the vectors.
     """
 
-    soles: slice
-    axes: slice
-    momentum: int
-    force: int
-    acceleration: int
-    momentum_rate: int
-    accelerometer: int
-    gyroscope: int
-    width: int
+    soles: slice  # places of the soles in m
+    axes: slice  # the soles' axes x, y and z
+    momentum: int  # angular momentum about the centre of mass in kg m^2/s
+    force: int  # specific force in m/s^2
+    acceleration: int  # of the centre of mass in m/s^2, which follows from the row's neighbours in time
+    momentum_rate: int  # in N m, likewise
+    accelerometer: int  # the measurement, in the IMU's own axes, in m/s^2
+    gyroscope: int  # likewise, in rad/s
+    width: int  # number of the vectors
 
     @classmethod
     def of(cls, feet: int) -> "Rows":
@@ -92,22 +81,14 @@ class Posture(NamedTuple):
     """The robot at the middle between two packets, in the torso's axes, from its origin.
 
     Its arrays are the model's own, until that evaluates another one.
-
-    Attributes:
-        com: Centre of mass in m, shape (3,).
-        momentum: Angular momentum about it in kg m^2/s, shape (3,).
-        sites: IMU and soles in m, shape (1 + F, 3).
-        axes: The soles' axes x, y and z, shape (3 F, 3).
-        force: Mean specific force since the packet before in m/s^2, shape (3,).
-        spin: Mean angular velocity in rad/s, shape (3,).
     """
 
-    com: NDArray[np.float64]
-    momentum: NDArray[np.float64]
-    sites: NDArray[np.float64]
-    axes: NDArray[np.float64]
-    force: NDArray[np.float64]
-    spin: NDArray[np.float64]
+    com: NDArray[np.float64]  # centre of mass in m, shape (3,)
+    momentum: NDArray[np.float64]  # angular momentum about it in kg m^2/s, shape (3,)
+    sites: NDArray[np.float64]  # IMU and soles in m, shape (1 + F, 3)
+    axes: NDArray[np.float64]  # the soles' axes x, y and z, shape (3 F, 3)
+    force: NDArray[np.float64]  # mean specific force since the packet before in m/s^2, shape (3,)
+    spin: NDArray[np.float64]  # mean angular velocity in rad/s, shape (3,)
 
 
 class Beliefs(Believed):

@@ -43,17 +43,11 @@ that are off by 1e-3 rad make 1 to 3 mm of it over a leg."""
 
 
 class StrapdownConstants(NamedTuple):
-    """Constants by their names in C; module constants of the same names explain them.
+    """Constants by their names in C; module constants of the same names explain them."""
 
-    Attributes:
-        points: Number of each foot's parts that may touch, n.
-        corners: Their centres in the sole frames in m, shape (F, n, 3).
-        radius: Their radii in m, shape (F, n); 0 of points.
-    """
-
-    points: int
-    corners: Floats
-    radius: Floats
+    points: int  # number of each foot's parts that may touch, n
+    corners: Floats  # their centres in the sole frames in m, shape (F, n, 3)
+    radius: Floats  # their radii in m, shape (F, n); 0 of points
     leg_time: float = LEG_TIME
     tilt_rate: float = TILT_RATE
     zero_offset: float = ZERO_OFFSET

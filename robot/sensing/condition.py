@@ -22,31 +22,19 @@ Faults = Sequence[str | Fault | Mapping[str, Any]] | Mapping[str, float]
 
 
 class Condition(NamedTuple):
-    """How bad the sensors of one robot are.
+    """How bad the sensors of one robot are."""
 
-    Attributes:
-        severity: Factor of all errors of the feet's sensors.
-        faults: The scheduled faults.
-    """
-
-    severity: float
-    faults: tuple[Fault, ...]
+    severity: float  # factor of all errors of the feet's sensors
+    faults: tuple[Fault, ...]  # the scheduled faults
 
 
 class Conditions(NamedTuple):
-    """The distribution of a robot's condition.
+    """The distribution of a robot's condition."""
 
-    Attributes:
-        lowest: Lowest severity.
-        highest: Highest severity; all between are alike likely.
-        faults: Scheduled faults, on the clock of the power-up.
-        chances: Faults that may happen in an episode, on the clock of the episode.
-    """
-
-    lowest: float
-    highest: float
-    faults: tuple[Fault, ...] = ()
-    chances: tuple[FaultChance, ...] = ()
+    lowest: float  # lowest severity
+    highest: float  # highest severity; all between are alike likely
+    faults: tuple[Fault, ...] = ()  # scheduled faults, on the clock of the power-up
+    chances: tuple[FaultChance, ...] = ()  # faults that may happen in an episode, on the clock of the episode
 
     @property
     def by_chance(self) -> bool:

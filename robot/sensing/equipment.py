@@ -37,20 +37,14 @@ ONBOARD_COMPUTER: Final = ("onboard-imu", "onboard-encoders", "onboard-500hz")
 
 
 class Fitted(NamedTuple):
-    """The instruments under one robot's feet, in its condition.
+    """The instruments under one robot's feet, in its condition."""
 
-    Attributes:
-        condition: How bad it is.
-        instruments: The instruments under the feet.
-        broken: The faults of channels, or ``None``.
-        native: Both as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None`` where it
-            has no room for.
-    """
-
-    condition: Condition
-    instruments: Instruments
-    broken: Corruption[FaultState] | None
+    condition: Condition  # how bad it is
+    instruments: Instruments  # the instruments under the feet
+    broken: Corruption[FaultState] | None  # the faults of channels, or ``None``
     native: dict[str, NativeDevice | None]
+    """Both as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None`` where it has no room
+    for."""
 
 
 class Equipment:

@@ -35,15 +35,10 @@ PEAK: Final = 1.5
 
 
 class InstrumentsState(NamedTuple):
-    """State that hardware keeps while the power is on.
+    """State that hardware keeps while the power is on."""
 
-    Attributes:
-        cells: State of the load cells, or ``()``.
-        ankles: State of the six-axis sensors, or ``()``.
-    """
-
-    cells: Any = ()
-    ankles: Any = ()
+    cells: Any = ()  # state of the load cells, or ``()``
+    ankles: Any = ()  # state of the six-axis sensors, or ``()``
 
 
 class CellsUnderFeet:

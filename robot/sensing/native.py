@@ -28,17 +28,11 @@ Maps = tuple[NDArray[np.float64], ...]
 
 
 class Places(NamedTuple):
-    """Where the library finds the loads of a robot, in a truth as that in which an episode starts.
+    """Where the library finds the loads of a robot, in a truth as that in which an episode starts."""
 
-    Attributes:
-        shape: Of the rows of truth, (S, columns).
-        columns: Where sensors are read.
-        map: As of :meth:`~surefoot.robot.sensing.instruments.CellsUnderFeet.cell_map`.
-    """
-
-    shape: tuple[int, ...]
-    columns: SensedColumns
-    map: Maps
+    shape: tuple[int, ...]  # of the rows of truth, (S, columns)
+    columns: SensedColumns  # where sensors are read
+    map: Maps  # as of :meth:`~surefoot.robot.sensing.instruments.CellsUnderFeet.cell_map`
 
 
 def places_in(truth: Any, instruments: Instruments) -> Places | None:

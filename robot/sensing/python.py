@@ -19,20 +19,14 @@ overwrites the reading, and the observation is empty."""
 
 
 class HardwareState(NamedTuple):
-    """State that stays as it is while the power is on, whatever happens to the robot.
+    """State that stays as it is while the power is on, whatever happens to the robot."""
 
-    Attributes:
-        instruments: The instruments under the feet.
-        faults: Its faults, or ``()``; of faults by chance as well, which last for an episode.
-        telemetry: IMU and encoders (:class:`~surefoot.sensors.telemetry.computer.Hardware`), or ``None``
-            where nobody listens.
-        severity: Factor of its errors, or ``None`` where it is the same for all robots.
-    """
-
-    instruments: InstrumentsState
-    faults: Any
+    instruments: InstrumentsState  # the instruments under the feet
+    faults: Any  # its faults, or ``()``; of faults by chance as well, which last for an episode
     telemetry: Any
-    severity: float | None = None
+    """IMU and encoders (:class:`~surefoot.sensors.telemetry.computer.Hardware`), or ``None`` where nobody
+    listens."""
+    severity: float | None = None  # factor of its errors, or ``None`` where it is the same for all robots
 
 
 class PythonSensing:

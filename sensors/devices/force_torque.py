@@ -194,18 +194,13 @@ class ForceTorque:
 
 
 class ForceTorqueState(NamedTuple):
-    """Sensors in use.
-
-    Attributes:
-        error: E, relative errors of the scales on the diagonal and cross-talk in shares of the full scales
-            beside it (row: the channel that reads, column: the load), shape (sensors, 6, 6).
-        offset: z in N and N m, shape (sensors, 6).
-        wire: State of the wire; ``()`` where nothing happens to codes.
-    """
+    """Sensors in use."""
 
     error: Array
-    offset: Array
-    wire: Any = ()
+    """E, relative errors of the scales on the diagonal and cross-talk in shares of the full scales beside it
+    (row: the channel that reads, column: the load), shape (sensors, 6, 6)."""
+    offset: Array  # z in N and N m, shape (sensors, 6)
+    wire: Any = ()  # state of the wire; ``()`` where nothing happens to codes
 
 
 @device

@@ -72,16 +72,12 @@ class Imu:
 
 
 class ImuState(NamedTuple):
-    """An IMU in use.
+    """An IMU in use."""
 
-    Attributes:
-        bias: (ax, ay, az) in m/s^2 and (wx, wy, wz) in rad/s, shape (6,).
-        matrix: Readings of the accelerometers and the gyroscopes of the three components (row: the sensor,
-            column: the component), shape (2, 3, 3), constant from power-up; ``()`` for axes that are right.
-    """
-
-    bias: Array
+    bias: Array  # (ax, ay, az) in m/s^2 and (wx, wy, wz) in rad/s, shape (6,)
     matrix: Any = ()
+    """Readings of the accelerometers and the gyroscopes of the three components (row: the sensor, column: the
+    component), shape (2, 3, 3), constant from power-up; ``()`` for axes that are right."""
 
 
 def _pair(accelerometer: float, gyroscope: float) -> np.ndarray[Any, np.dtype[np.float64]]:

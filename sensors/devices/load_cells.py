@@ -41,36 +41,26 @@ from surefoot.sensors.transport.wire import wire
 
 
 class LoadCellState(NamedTuple):
-    """Load cells in use.
+    """Load cells in use."""
 
-    Attributes:
-        period: Time between conversions in s, shape (K,); constant from power-up.
-        due: Time to the next conversion in s, shape (K,).
-        charge: Integral of the load since the last conversion up to now in N s, shape (K,).
-        held: The last conversion in counts, shape (K,); NaN before the first.
-        error: The drifting errors, shape (2, K): the relative error of the scale (row :data:`SCALE`), and the
-            offset of the bridge in N at the nominal scale (row :data:`OFFSET`).
-        thermal: For cells that warm up, shape (3, K): the change of the two errors by a kelvin, in
-            1/K and N/K, and the rise of the temperature since power-up in K (row :data:`RISE`); empty, shape
-            (0,), for others.
-        window: For converters that average, their last conversions in N (see
-            :func:`~surefoot.sensors.stages.clock.settle`; without a clock a
-            :class:`~surefoot.sensors.stages.moving_average.MovingAverageState`); ``()`` for others.
-        mechanics: State of the spring elements; ``()`` where nothing happens to loads.
-        wire: State of the wire; ``()`` where nothing happens to codes.
-        shear: Shares of the horizontal forces along x and y that a cell reads, shape (2, K); ``()`` for none.
-    """
-
-    period: Array
-    due: Array
-    charge: Array
-    held: Array
+    period: Array  # time between conversions in s, shape (K,); constant from power-up
+    due: Array  # time to the next conversion in s, shape (K,)
+    charge: Array  # integral of the load since the last conversion up to now in N s, shape (K,)
+    held: Array  # the last conversion in counts, shape (K,); NaN before the first
     error: Array
+    """The drifting errors, shape (2, K): the relative error of the scale (row :data:`SCALE`), and the offset
+    of the bridge in N at the nominal scale (row :data:`OFFSET`)."""
     thermal: Array
+    """For cells that warm up, shape (3, K): the change of the two errors by a kelvin, in 1/K and N/K, and the
+    rise of the temperature since power-up in K (row :data:`RISE`); empty, shape (0,), for others."""
     window: Any = ()
-    mechanics: Any = ()
-    wire: Any = ()
+    """For converters that average, their last conversions in N (see
+    :func:`~surefoot.sensors.stages.clock.settle`; without a clock a
+    :class:`~surefoot.sensors.stages.moving_average.MovingAverageState`); ``()`` for others."""
+    mechanics: Any = ()  # state of the spring elements; ``()`` where nothing happens to loads
+    wire: Any = ()  # state of the wire; ``()`` where nothing happens to codes
     shear: Any = ()
+    """Shares of the horizontal forces along x and y that a cell reads, shape (2, K); ``()`` for none."""
 
 
 SCALE, OFFSET, RISE = 0, 1, 2

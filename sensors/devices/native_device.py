@@ -20,22 +20,16 @@ Floats = NDArray[np.float64]
 
 
 class Kind(NamedTuple):
-    """A kind of device that the library has.
+    """A kind of device that the library has."""
 
-    Attributes:
-        name: Its records are ``sf_<name>_config`` and ``sf_<name>``.
-        build: Makes the Python of a configuration.
-        constants: Lists the sources of the first record of a configuration, as
-            :meth:`~surefoot.native.Library.constants` takes them.
-        blocks: Whether it reads blocks of substeps rather than an instant.
-        loads: How many loads it reads; ``None`` for as many as its configuration says, or as it has channels.
-    """
-
-    name: str
-    build: Callable[[Any], Corruption[Any]]
+    name: str  # its records are ``sf_<name>_config`` and ``sf_<name>``
+    build: Callable[[Any], Corruption[Any]]  # makes the Python of a configuration
     constants: Callable[[Any], tuple[Any, ...]]
-    blocks: bool = False
+    """Lists the sources of the first record of a configuration, as :meth:`~surefoot.native.Library.constants`
+    takes them."""
+    blocks: bool = False  # whether it reads blocks of substeps rather than an instant
     loads: int | None = None
+    """How many loads it reads; ``None`` for as many as its configuration says, or as it has channels."""
 
     def count_loads(self, config: Any) -> int:
         """Return how many loads a device of a configuration reads."""

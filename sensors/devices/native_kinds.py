@@ -83,15 +83,10 @@ def _of_gauges(config: StrainGauges) -> tuple[Any, ...]:
 
 
 class Broken(NamedTuple):
-    """An instrument with faults, which takes counts for loads.
+    """An instrument with faults, which takes counts for loads."""
 
-    Attributes:
-        faults: The faults, in the order in which they act.
-        converter: The instrument.
-    """
-
-    faults: tuple[Fault, ...]
-    converter: Converter
+    faults: tuple[Fault, ...]  # the faults, in the order in which they act
+    converter: Converter  # the instrument
 
     @property
     def channels(self) -> int:

@@ -47,26 +47,17 @@ SMALLEST_LOOP = 1e-3
 
 
 class StrainGaugeState(NamedTuple):
-    """A sensor in use.
+    """A sensor in use."""
 
-    Attributes:
-        response: A without the heat in counts per N and N m, shape (k, 6); constant from power-up.
-        tempco: The change of a gauge by a kelvin, shape (2, k): to its scale, relative, in 1/K (row
-            :data:`SCALE`), and to its offset in counts/K (row :data:`OFFSET`); constant from power-up.
-        offset: o in counts, with drift and heat, shape (k,).
-        temperature: Rise since power-up in K, shape ().
-        creep: The creep of the loads so far.
-        hysteresis: The slacks under the loads so far.
-        bend: A ``CoupledState``; ``()`` where the element is linear.
-    """
-
-    response: Array
+    response: Array  # a without the heat in counts per N and N m, shape (k, 6); constant from power-up
     tempco: Array
-    offset: Array
-    temperature: Array
-    creep: CreepState
-    hysteresis: HysteresisState
-    bend: Any = ()
+    """The change of a gauge by a kelvin, shape (2, k): to its scale, relative, in 1/K (row :data:`SCALE`),
+    and to its offset in counts/K (row :data:`OFFSET`); constant from power-up."""
+    offset: Array  # o in counts, with drift and heat, shape (k,)
+    temperature: Array  # rise since power-up in K, shape ()
+    creep: CreepState  # the creep of the loads so far
+    hysteresis: HysteresisState  # the slacks under the loads so far
+    bend: Any = ()  # a ``CoupledState``; ``()`` where the element is linear
 
 
 @device

@@ -28,17 +28,11 @@ _TIMED = re.compile(r"(at t=\S+ s|from t=\S+ s to t=\S+ s) (.+)")
 
 
 class FaultChance(NamedTuple):
-    """A fault that may happen to each channel of a robot.
+    """A fault that may happen to each channel of a robot."""
 
-    Attributes:
-        fault: The fault, of channel 0.
-        within: It begins at any moment of so many seconds after the fault's own start.
-        probability: That it happens to a channel in an episode.
-    """
-
-    fault: Fault
-    within: float
-    probability: float
+    fault: Fault  # the fault, of channel 0
+    within: float  # it begins at any moment of so many seconds after the fault's own start
+    probability: float  # that it happens to a channel in an episode
 
 
 def parse_chances(chances: Mapping[str, float]) -> tuple[FaultChance, ...]:

@@ -103,18 +103,13 @@ class Fault:
 
 
 class FaultState(NamedTuple):
-    """Channels with faults.
+    """Channels with faults."""
 
-    Attributes:
-        time: Time of the last reading in s, shape (1,).
-        held: For each of F faults the last reading of its channel before it in counts, shape (F,); NaN before
-            there was any.
-        lost: For each of them 1 within a gap and 0 elsewhere, shape (F,).
-    """
-
-    time: Array
+    time: Array  # time of the last reading in s, shape (1,)
     held: Array
-    lost: Array
+    """For each of F faults the last reading of its channel before it in counts, shape (F,); NaN before there
+    was any."""
+    lost: Array  # for each of them 1 within a gap and 0 elsewhere, shape (F,)
 
 
 @device

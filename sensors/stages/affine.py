@@ -19,13 +19,9 @@ PER_SQRT_MINUTE = 60.0**-0.5
 
 
 class WalkState(NamedTuple):
-    """Where a random walk stands.
+    """Where a random walk stands."""
 
-    Attributes:
-        error: One number a channel, shape (K,).
-    """
-
-    error: Array
+    error: Array  # one number a channel, shape (K,)
 
 
 def scale(value: ArrayLike) -> Corruption[tuple[()]]:

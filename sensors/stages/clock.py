@@ -15,26 +15,18 @@ from surefoot.sensors.randomness import uniform
 
 
 class ClockState(NamedTuple):
-    """The clocks of K chips and their last outputs.
+    """The clocks of K chips and their last outputs."""
 
-    Attributes:
-        period: Time between conversions in s, shape (K,); constant from power-up.
-        due: Time from now to the next conversion in s, shape (K,).
-        charge: Integral of the signal since the last conversion up to now, in its unit times s, shape (K,).
-        held: The last finished conversion, shape (K,); NaN before the first.
-        inner: State of the stages between a signal and its conversion.
-        window: The last conversions (see :func:`settle`), shape (settling, K); ``()`` for a chip that settles
-            at once.
-        converter: State of the stages after the mean.
-    """
-
-    period: Array
-    due: Array
+    period: Array  # time between conversions in s, shape (K,); constant from power-up
+    due: Array  # time from now to the next conversion in s, shape (K,)
     charge: Array
-    held: Array
-    inner: Any
+    """Integral of the signal since the last conversion up to now, in its unit times s, shape (K,)."""
+    held: Array  # the last finished conversion, shape (K,); NaN before the first
+    inner: Any  # state of the stages between a signal and its conversion
     window: Any
-    converter: Any
+    """The last conversions (see :func:`settle`), shape (settling, K); ``()`` for a chip that settles at
+    once."""
+    converter: Any  # state of the stages after the mean
 
 
 def init_clock(rate: tuple[float, float], shape: tuple[int, ...], rng: Rng) -> tuple[Array, Array]:

@@ -20,14 +20,10 @@ from surefoot.sensors.corruption import Array, Corruption, Rng
 
 
 class CreepState(NamedTuple):
-    """How far a spring element has yielded.
-
-    Attributes:
-        yielded: The loads that each exponential has followed so far, in the unit of the readings, shape
-            (J, K).
-    """
+    """How far a spring element has yielded."""
 
     yielded: Array
+    """The loads that each exponential has followed so far, in the unit of the readings, shape (J, K)."""
 
 
 def check_creep(config: Any) -> None:

@@ -30,14 +30,11 @@ from surefoot.sensors.corruption import Array, Corruption, Rng
 
 
 class HysteresisState(NamedTuple):
-    """The memory of a spring element.
-
-    Attributes:
-        plays: Where each slack stands in shares of the full scale, the widest first, shape (P, K); zero for
-            an element that was never loaded. No plays, P = 0, where there is no hysteresis.
-    """
+    """The memory of a spring element."""
 
     plays: Array
+    """Where each slack stands in shares of the full scale, the widest first, shape (P, K); zero for an
+    element that was never loaded. No plays, P = 0, where there is no hysteresis."""
 
 
 def halving_slacks(share: float, smallest: float, true_at: ArrayLike = 1.0) -> tuple[Array, Array]:

@@ -90,21 +90,13 @@ IDEAL = Mechanics()
 
 
 class MechanicsState(NamedTuple):
-    """Spring elements in use; ``()`` for every part that is off.
+    """Spring elements in use; ``()`` for every part that is off."""
 
-    Attributes:
-        nonlinearity: A ``NonlinearityState``.
-        hysteresis: A ``HysteresisState``.
-        creep: A ``CreepState``.
-        mounting: A ``MountingState``.
-        overload: An ``OverloadState``.
-    """
-
-    nonlinearity: Any
-    hysteresis: Any
-    creep: Any
-    mounting: Any
-    overload: Any
+    nonlinearity: Any  # a ``NonlinearityState``
+    hysteresis: Any  # a ``HysteresisState``
+    creep: Any  # a ``CreepState``
+    mounting: Any  # a ``MountingState``
+    overload: Any  # an ``OverloadState``
 
 
 def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:

@@ -25,17 +25,11 @@ WARP = (1, -1, -1, 1)
 
 
 class MountingState(NamedTuple):
-    """The mounting of F feet of four cells.
+    """The mounting of F feet of four cells."""
 
-    Attributes:
-        offset: The change of each offset by impacts, in the unit of the readings, shape (4 F,).
-        load: Each foot's load at the last reading, shape (F,); NaN before the first.
-        impact: For each foot 1 while its load goes on changing that fast and 0 elsewhere, shape (F,).
-    """
-
-    offset: Array
-    load: Array
-    impact: Array
+    offset: Array  # the change of each offset by impacts, in the unit of the readings, shape (4 F,)
+    load: Array  # each foot's load at the last reading, shape (F,); NaN before the first
+    impact: Array  # for each foot 1 while its load goes on changing that fast and 0 elsewhere, shape (F,)
 
 
 def mounting(threshold: float, warp_std: float, common_std: float = 0.0) -> Corruption[MountingState]:

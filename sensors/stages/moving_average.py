@@ -18,14 +18,11 @@ from surefoot.sensors.corruption import Array, Corruption, Rng
 
 
 class MovingAverageState(NamedTuple):
-    """The state of a filter.
-
-    Attributes:
-        window: The n - 1 readings before, the oldest first, shape (n - 1, K); NaN before the first, which
-            then counts as having been there for ever.
-    """
+    """The state of a filter."""
 
     window: Array
+    """The n - 1 readings before, the oldest first, shape (n - 1, K); NaN before the first, which then counts
+    as having been there for ever."""
 
 
 def moving_average(count: int) -> Corruption[MovingAverageState]:

@@ -71,13 +71,10 @@ def nonlinearity(quadratic: ArrayLike, cubic: ArrayLike, full_scale: ArrayLike) 
 
 
 class NonlinearityState(NamedTuple):
-    """Nonlinearity of the channels.
-
-    Attributes:
-        quadratic: Departure at half of the full scale in shares of it, shape (K,); constant from power-up.
-    """
+    """Nonlinearity of the channels."""
 
     quadratic: Array
+    """Departure at half of the full scale in shares of it, shape (K,); constant from power-up."""
 
 
 def random_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[NonlinearityState]:
@@ -109,16 +106,12 @@ def bent(reading: Array, state: NonlinearityState, full_scale: Array | float) ->
 
 
 class CoupledState(NamedTuple):
-    """Nonlinearity of axes that feel each other; constant from power-up.
+    """Nonlinearity of axes that feel each other; constant from power-up."""
 
-    Attributes:
-        cubic: Departure of each axis at 0.577 of its full scale in shares of it, shape (K,).
-        cross: Departure of each axis where two others are at their full scales, in shares of its own, shape
-            (K, K, K); zero but for j < k.
-    """
-
-    cubic: Array
+    cubic: Array  # departure of each axis at 0.577 of its full scale in shares of it, shape (K,)
     cross: Array
+    """Departure of each axis where two others are at their full scales, in shares of its own, shape (K, K,
+    K); zero but for j < k."""
 
 
 def cross_slope(cubic: float, cross: float, axes: int) -> float:

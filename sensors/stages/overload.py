@@ -21,14 +21,11 @@ from surefoot.sensors.corruption import Array, Corruption, Rng, limit
 
 
 class OverloadState(NamedTuple):
-    """How far spring elements were loaded beyond the safe limit.
-
-    Attributes:
-        excess: Largest excess so far of pressing (positive) and of pulling (negative) loads over the safe
-            ones in the unit of the readings, shape (2, K).
-    """
+    """How far spring elements were loaded beyond the safe limit."""
 
     excess: Array
+    """Largest excess so far of pressing (positive) and of pulling (negative) loads over the safe ones in the
+    unit of the readings, shape (2, K)."""
 
 
 def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:

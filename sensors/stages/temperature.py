@@ -17,17 +17,11 @@ from surefoot.sensors.randomness import normal
 
 
 class ThermalState(NamedTuple):
-    """A channel that drifts and warms up.
+    """A channel that drifts and warms up."""
 
-    Attributes:
-        error: Its error now, shape (K,).
-        tempco: Its change by a kelvin, shape (K,); constant from power-up.
-        temperature: Rise since power-up in K, shape (K,).
-    """
-
-    error: Array
-    tempco: Array
-    temperature: Array
+    error: Array  # its error now, shape (K,)
+    tempco: Array  # its change by a kelvin, shape (K,); constant from power-up
+    temperature: Array  # rise since power-up in K, shape (K,)
 
 
 def temperature_rise(temperature: Array, ramp: float, rise: float, dt: float) -> Array:

@@ -33,15 +33,10 @@ Vector = tuple[float, float, float]
 
 
 class Attitude(NamedTuple):
-    """The state of the filter.
+    """The state of the filter."""
 
-    Attributes:
-        up: Unit vector against gravity in the IMU's axes.
-        bias: Bias of the gyroscope in rad/s.
-    """
-
-    up: Vector
-    bias: Vector
+    up: Vector  # unit vector against gravity in the IMU's axes
+    bias: Vector  # bias of the gyroscope in rad/s
 
     @property
     def roll(self) -> float:

@@ -67,51 +67,30 @@ class TelemetryLayout:
 
 
 class Hardware(NamedTuple):
-    """The constants of an IMU and encoders, whatever the robot does.
+    """The constants of an IMU and encoders, whatever the robot does."""
 
-    Attributes:
-        imu: State of the IMU.
-        encoders: State of the encoders.
-    """
-
-    imu: ImuState
-    encoders: Any
+    imu: ImuState  # state of the IMU
+    encoders: Any  # state of the encoders
 
 
 class Computer(NamedTuple):
-    """The sensors and the results of the robot's computer.
+    """The sensors and the results of the robot's computer."""
 
-    Attributes:
-        hardware: States of its sensors.
-        attitude: The computer's belief of its tilt.
-        position: The last encoder readings in rad, shape (J,).
-        velocity: Their filtered differences in rad/s, shape (J,).
-    """
-
-    hardware: Hardware
-    attitude: Attitude
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
+    hardware: Hardware  # states of its sensors
+    attitude: Attitude  # the computer's belief of its tilt
+    position: NDArray[np.float64]  # the last encoder readings in rad, shape (J,)
+    velocity: NDArray[np.float64]  # their filtered differences in rad/s, shape (J,)
 
 
 class TelemetryState(NamedTuple):
-    """The robot's side of the link.
+    """The robot's side of the link."""
 
-    Attributes:
-        computer: Sensors and computer.
-        inertial: Sum of the IMU's true values since the last packet, shape (6,).
-        substeps: How many are in that sum.
-        due: Time to the next packet in s.
-        number: Number of the next packet.
-        under_way: Packets that have not arrived.
-    """
-
-    computer: Computer
-    inertial: NDArray[np.float64]
-    substeps: int
-    due: float
-    number: int
-    under_way: Packets
+    computer: Computer  # sensors and computer
+    inertial: NDArray[np.float64]  # sum of the IMU's true values since the last packet, shape (6,)
+    substeps: int  # how many are in that sum
+    due: float  # time to the next packet in s
+    number: int  # number of the next packet
+    under_way: Packets  # packets that have not arrived
 
 
 class Telemetry:

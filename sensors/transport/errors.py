@@ -46,23 +46,15 @@ CODINGS = ("offset-binary", "two's complement")
 
 
 class RepeatState(NamedTuple):
-    """The last output of a reader.
+    """The last output of a reader."""
 
-    Attributes:
-        held: Shape (K,); NaN before the first.
-    """
-
-    held: Array
+    held: Array  # shape (K,); NaN before the first
 
 
 class GapState(NamedTuple):
-    """Whether the link is up.
+    """Whether the link is up."""
 
-    Attributes:
-        lost: 1 within a gap and 0 elsewhere, shape (1,).
-    """
-
-    lost: Array
+    lost: Array  # 1 within a gap and 0 elsewhere, shape (1,)
 
 
 def spikes(

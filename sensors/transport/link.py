@@ -43,17 +43,11 @@ class Link:
 
 
 class LatencyState(NamedTuple):
-    """The last D readings that were sent, the oldest first.
+    """The last D readings that were sent, the oldest first."""
 
-    Attributes:
-        due: Time until each arrives in s, shape (D, 1); 0 or less for one that has.
-        readings: Shape (D, K); NaN before the first.
-        held: The last that arrived, shape (K,); NaN before the first.
-    """
-
-    due: Array
-    readings: Array
-    held: Array
+    due: Array  # time until each arrives in s, shape (D, 1); 0 or less for one that has
+    readings: Array  # shape (D, K); NaN before the first
+    held: Array  # the last that arrived, shape (K,); NaN before the first
 
 
 def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[LatencyState]:
@@ -84,17 +78,11 @@ def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[Lat
 
 
 class Packet(NamedTuple):
-    """One packet of telemetry.
+    """One packet of telemetry."""
 
-    Attributes:
-        number: Number of the packet since power-up: the robot's own clock.
-        arrival: When the host has it, in s of the host's clock.
-        values: Content, shape (C,).
-    """
-
-    number: int
-    arrival: float
-    values: NDArray[np.float64]
+    number: int  # number of the packet since power-up: the robot's own clock
+    arrival: float  # when the host has it, in s of the host's clock
+    values: NDArray[np.float64]  # content, shape (C,)
 
 
 Packets = tuple[Packet, ...]

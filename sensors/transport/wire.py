@@ -112,23 +112,14 @@ def check_wire(config: Wire | Wired, dt: float) -> None:
 
 
 class WireState(NamedTuple):
-    """A wire in use; ``()`` for every part that is off or remembers nothing.
+    """A wire in use; ``()`` for every part that is off or remembers nothing."""
 
-    Attributes:
-        spikes: Always ``()``.
-        wrong_words: Always ``()``.
-        stale_repeats: A ``RepeatState``.
-        packet_loss: A ``GapState``.
-        gaps: A ``GapState``.
-        latency: A ``LatencyState``.
-    """
-
-    spikes: Any
-    wrong_words: Any
-    stale_repeats: Any
-    packet_loss: Any
-    gaps: Any
-    latency: Any
+    spikes: Any  # always ``()``
+    wrong_words: Any  # always ``()``
+    stale_repeats: Any  # a ``RepeatState``
+    packet_loss: Any  # a ``GapState``
+    gaps: Any  # a ``GapState``
+    latency: Any  # a ``LatencyState``
 
 
 def wire(
