@@ -78,13 +78,8 @@ class Look(NamedTuple):
 class FeetObserver:
     """Turns truth and command into an observation.
 
-    Args:
-        places: Where things are in a row.
-        force_bound: Largest force of a cell that is shown in N.
-
-    Attributes:
-        space: The observation space.
-        state_layout: Where each part lies in the state vector.
+    ``force_bound`` is the largest force of a cell that is shown in N; ``state_layout`` says where each part
+    lies in the state vector.
     """
 
     def __init__(self, places: Places, force_bound: float) -> None:
@@ -226,13 +221,7 @@ def _clip(number: float, bound: float) -> float:
 
 
 class _Observe:
-    """The library's :func:`observe` for robots of a kind.
-
-    Args:
-        library: The library.
-        places: Where things are in a row.
-        shape: Shape of the rows, and length of ``qvel``.
-    """
+    """The library's :func:`observe` for rows of a shape, whose last number is the length of ``qvel``."""
 
     def __init__(self, library: Library, places: Places, shape: tuple[int, ...]) -> None:
         *robots, substeps, columns, speeds = shape

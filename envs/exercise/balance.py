@@ -23,12 +23,7 @@ GAIN: Final = 1.0
 
 
 class AnkleBalance:
-    """Turns an error of the capture point into a correction of the motors' targets.
-
-    Args:
-        robot: The robot.
-        motion: Its exercise.
-    """
+    """Turns an error of the capture point into a correction of the motors' targets."""
 
     def __init__(self, robot: ExerciseRobot, motion: Motion) -> None:
         self._motion = motion

@@ -120,11 +120,7 @@ def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Moti
 class Motion:
     """Everything that a robot does in an exercise, planned once.
 
-    Args:
-        robot: The robot.
-
     Attributes:
-        robot: The robot.
         qpos: The posture between the moves, shape (nq,).
         height: Height of the centre of mass in it in m.
         up_torso: The vertical in the torso's axes in it, shape (3,).

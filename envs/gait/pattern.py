@@ -82,11 +82,7 @@ class Pattern:
 
 
 class Patterns:
-    """The patterns of N robots, of which many may be the same.
-
-    Args:
-        patterns: One a robot.
-    """
+    """The patterns of N robots, of which many may be the same."""
 
     def __init__(self, patterns: Sequence[Pattern]) -> None:
         self._distinct = list({id(pattern): pattern for pattern in patterns}.values())

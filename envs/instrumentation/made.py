@@ -53,15 +53,11 @@ def make(
     boxes: bool,
     **given: Any,
 ) -> Made:
-    """Make the instrumented robot with an environment's own numbers, or take that of another like it.
+    """Make the instrumented robot with the numbers of a bare model, or take that of another like it.
 
-    Args:
-        description: Of the robot: a file, or a specification, of which nothing is kept.
-        bare: The environment's model.
-        feet: Names of the feet's bodies; None to guess.
-        soles: Flat soles, as of :class:`~surefoot.envs.InstrumentedEnv`.
-        boxes: Whether meshes that are only seen become boxes.
-        **given: Options of :func:`~surefoot.envs.instrumentation.spec.instrument_as`.
+    Of a specification nothing is kept. ``feet`` and ``soles`` are those of
+    :class:`~surefoot.envs.InstrumentedEnv`; with ``boxes`` meshes that are only seen become boxes; the others
+    are those of :func:`~surefoot.envs.instrumentation.spec.instrument_as`.
     """
     if isinstance(description, mujoco.MjSpec):
         return _make(description.copy(), bare, feet, soles, boxes, given)

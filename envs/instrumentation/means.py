@@ -84,11 +84,7 @@ def mean_truth(rows: Array, layout: RowLayout) -> dict[str, NDArray[Any]]:
 
 
 class MeanTruth:
-    """Computes :func:`mean_truth` of one robot or of many: by the library where there is one.
-
-    Args:
-        layout: The meaning of the columns.
-    """
+    """Computes :func:`mean_truth` of one robot or of many: by the library where there is one."""
 
     def __init__(self, layout: RowLayout) -> None:
         self._layout = layout

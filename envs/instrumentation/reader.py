@@ -24,16 +24,10 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 class SensorReader:
     """Reads the sensors that were added to a model, and keeps them still where they would be seen.
 
-    MuJoCo keeps each sensor's last S values in a ring (``data.history``), with a row's time in its clock's
-    column. It evaluates sensors at the beginning of a substep: forces, accelerations and contacts are then
-    those that act in it. Angles and gyroscope are moved on to its end, where the next substep begins, and the
-    last ones are taken from the state.
-
-    Args:
-        model: The instrumented robot.
-        data: Its state.
-        instrumentation: The added sensors.
-        samples: Number S of substeps in a control step.
+    MuJoCo keeps each sensor's last ``samples`` values in a ring (``data.history``), with a row's time in its
+    clock's column. It evaluates sensors at the beginning of a substep: forces, accelerations and contacts are
+    then those that act in it. Angles and gyroscope are moved on to its end, where the next substep begins,
+    and the last ones are taken from the state.
     """
 
     def __init__(
