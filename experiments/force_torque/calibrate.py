@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration.in_situ import InSituFit, KnownLimb, calibrate_in_situ
+from surefoot.calibration.in_situ import InSituFit
 from surefoot.calibration.results import CalibrationRefused, FitResult
 from surefoot.experiments.force_torque.config import InSituConfig
 from surefoot.experiments.force_torque.export import write_json, write_ros2_parameters, write_yaml
@@ -76,17 +76,7 @@ def calibrate_in_situ_log(
 
 
 def _fit(log: InSituLog, accept: str) -> InSituFit:
-    config = log.config
-    mass, std = config.limb.mass_kg, config.limb.mass_std_kg
-    fit = calibrate_in_situ(
-        log.fitted,
-        factory_matrix=config.factory.matrix,
-        limb=None if mass is None or std is None else KnownLimb(mass, std),
-        matrix="keep" if config.fit.keep_matrix else "update",
-        options=config.fit.options(config.sensor),
-        refuse=False,
-        accept=accept,
-    )
+    fit = log.fit(accept)
     if fit.result is FitResult.REFUSED:
         first, *others = fit.refusals
         more = "".join(f" Also: {other}" for other in others)

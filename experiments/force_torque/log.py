@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu import AccelerometerModel, calibrate_accelerometer, gravity_from_imu
-from surefoot.calibration.in_situ import InSituSet
+from surefoot.calibration.in_situ import InSituFit, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.force_torque.checks import FEWEST, check_samples, contiguous
 from surefoot.experiments.force_torque.config import (
@@ -45,6 +45,20 @@ class InSituLog:
         """The sets that make the fit, without those that are kept aside."""
         chosen = self.config.fit.sets
         return self.sets if chosen is None else tuple(one for one in self.sets if one.name in chosen)
+
+    def fit(self, accept: str = "") -> InSituFit:
+        """Fit these sets as the configuration says; refusals are part of the result."""
+        config = self.config
+        mass, std = config.limb.mass_kg, config.limb.mass_std_kg
+        return calibrate_in_situ(
+            self.fitted,
+            factory_matrix=config.factory.matrix,
+            limb=None if mass is None or std is None else KnownLimb(mass, std),
+            matrix="keep" if config.fit.keep_matrix else "update",
+            options=config.fit.options(config.sensor),
+            refuse=False,
+            accept=accept,
+        )
 
 
 def read_in_situ_log(

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.calibration import Parameters, Reference
-from surefoot.calibration.in_situ import KnownLimb, calibrate_in_situ
 from surefoot.calibration.results import CalibrationRefused, Finding
 from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.instrument.channels import (
@@ -151,16 +150,8 @@ def _first_bad(log: Log, initial: Parameters, verdict: Verdict) -> int:
 
 
 def _judge_sets(log: InSituLog) -> Iterator[Wrong]:
-    config = log.config
-    mass, std = config.limb.mass_kg, config.limb.mass_std_kg
     try:
-        fit = calibrate_in_situ(
-            log.fitted,
-            factory_matrix=config.factory.matrix,
-            limb=None if mass is None or std is None else KnownLimb(mass, std),
-            options=config.fit.options(config.sensor),
-            refuse=False,
-        )
+        fit = log.fit()
     except CalibrationRefused as refusal:
         yield Wrong(Finding("sets", refusal.reason, refusal.cure))
         return

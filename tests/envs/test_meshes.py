@@ -8,6 +8,7 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
+from _toy import Toy
 
 from surefoot.envs import ExerciseEnv, InstrumentedEnv, load_robot_spec
 from surefoot.envs.instrumentation.made import make
@@ -45,30 +46,21 @@ def text(sensor=""):
     )
 
 
-class Shelled(gym.Env):
+class Shelled(Toy):
     """That robot, as its file describes it."""
-
-    observation_space = gym.spaces.Box(-np.inf, np.inf, (9,))
-    action_space = gym.spaces.Box(-1.0, 1.0, (1,))
-    frame_skip = 5
 
     def __init__(self, path, sensor="", render_mode=None):
         if not path.exists():
             path.write_text(text(sensor))
-        self.fullpath, self.render_mode = str(path), render_mode
-        self.model = mujoco.MjModel.from_xml_path(self.fullpath)
-        self.data = mujoco.MjData(self.model)
+        self.fullpath, self.render_mode, self.xml = str(path), render_mode, path.read_text()
+        self.make()
 
     def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
+        gym.Env.reset(self, seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         self.data.qvel[:3] = self.np_random.normal(size=3)
         mujoco.mj_forward(self.model, self.data)
         return self.data.qpos.copy(), {}
-
-    def step(self, action):
-        mujoco.mj_step(self.model, self.data, self.frame_skip)
-        return self.data.qpos.copy(), 0.0, False, False, {}
 
 
 def vertices(model, name):

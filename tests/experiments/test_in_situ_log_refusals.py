@@ -166,10 +166,6 @@ BAD_CONFIGS = {
         '[[sets]]\nname = "1"\nadded_mass_kg = 0.0\n',
         "set '1' is listed twice; list each set once",
     ),
-    "a set with two masses": (
-        '[[sets]]\nname = "1"\nadded_mass_kg = 0.2\nadded_com_m = [0, 0, 0]\n',
-        "set '1' is listed twice; list each set once",
-    ),
     "a negative mass": (
         '[[sets]]\nname = "9"\nadded_mass_kg = -0.5\n',
         "sets.0.added_mass_kg: Input should be .* equal to 0, got",
