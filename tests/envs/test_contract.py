@@ -79,6 +79,23 @@ def test_values_that_were_handed_out_stay_and_lie_in_their_space(name: str) -> N
 
 
 @each
+def test_wrong_actions_are_refused(name: str) -> None:
+    env = make(name)
+    still = np.zeros(env.action_space.shape)
+    with pytest.raises(gym.error.ResetNeeded, match=r"Call reset\(\) before"):
+        env.step(still)
+    env.reset(seed=0)
+    with pytest.raises(
+        ValueError, match=rf"has shape \({still.size},\), a .* got shape \({still.size + 1},\)"
+    ):
+        env.step(np.zeros(still.size + 1))
+    for wrong in (np.nan, np.inf):
+        still[-1] = wrong
+        with pytest.raises(ValueError, match=r"An action must be finite, got .*; .*zeros"):
+            env.step(still)
+
+
+@each
 def test_an_environment_draws_if_it_was_asked_to(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     env = make(name)
     env.reset(seed=0)

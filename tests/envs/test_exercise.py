@@ -183,16 +183,6 @@ def test_an_episode_ends_after_its_duration_or_by_a_fall(path):
     assert any(env.step(zero(env))[2] for _ in range(100))
 
 
-def test_wrong_actions_are_refused(env):
-    env.reset(seed=0)
-    with pytest.raises(
-        ValueError, match=r"has shape \(12,\), a residual for each leg motor .* got shape \(3,\)"
-    ):
-        env.step(np.zeros(3))
-    with pytest.raises(ValueError, match="must be finite, got"):
-        env.step(np.full(12, np.nan))
-
-
 @pytest.mark.parametrize(
     ("options", "match"),
     [

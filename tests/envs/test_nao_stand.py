@@ -3,7 +3,6 @@
 import pickle
 import re
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from _refusals import refusals
@@ -233,19 +232,6 @@ def test_episodes_draw_their_friction_and_their_start():
     drawn = np.array(friction)[:, 0, 0]
     assert 0.4 <= drawn.min() < 0.7 < 0.9 < drawn.max() <= 1.2
     assert 0.001 < np.std(starts, axis=0).max() <= 0.005
-
-
-def test_bad_actions_are_refused():
-    env = NaoStandEnv()
-    with pytest.raises(gym.error.ResetNeeded, match=r"reset\(\)"):
-        env.step(ZERO)
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"shape \(11,\).*LHipYawPitch.*got shape \(12,\)"):
-        env.step(np.zeros(12))
-    with pytest.raises(ValueError, match=r"must be finite.*zeros leave the pattern alone"):
-        env.step(np.full(11, np.nan))
-    with pytest.raises(ValueError, match="must be finite"):
-        env.step(np.full(11, np.inf))
 
 
 test_bad_options_are_refused = refusals(
