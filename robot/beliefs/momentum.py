@@ -31,7 +31,8 @@ COM = 0
 class MomentumRows(NamedTuple):
     """Which vectors of three a row holds, of a robot on F feet.
 
-    In axes that are level and whose heading follows the gyroscope: centre of mass in m (0), and
+    Axes are level, with a heading that follows the gyroscope. The centre of mass in m is the first one; the
+    others follow.
     """
 
     soles: slice  # places of the soles in m

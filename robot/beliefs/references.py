@@ -55,9 +55,9 @@ COM, IMU = 0, 1
 
 
 class Rows(NamedTuple):
-    """Which vectors of three a row holds, of a robot on F feet.
+    """Which vectors of three a row holds, of a robot on F feet, in odometry axes from the torso's origin.
 
-    In odometry axes, from the torso's origin: centre of mass and IMU in m (0 and 1), and
+    The centre of mass and the IMU in m are the first two; the others follow.
     """
 
     soles: slice  # places of the soles in m
