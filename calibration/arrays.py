@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 Array = Any
 """A NumPy array, or a NumPy number where its shape is (); GPU modules hold tensors in the same records."""
 
-MAD_TO_STD = 1.4826
-"""Standard deviations in a median absolute deviation of normal noise."""
+MAD_TO_STD = 1.4826  # standard deviations in a median absolute deviation of normal noise
 
 
 ROUNDING = 1e-13

@@ -97,5 +97,4 @@ class LibraryFilter:
         return self._started or self._shared
 
 
-FilterBackend = PythonFilter | LibraryFilter
-"""Who filters, and holds the state."""
+FilterBackend = PythonFilter | LibraryFilter  # who filters, and holds the state

@@ -62,8 +62,7 @@ class Flag(IntFlag):
     """Something besides the feet carries or pushes the robot: nothing is learnt from its motion."""
 
 
-ALL_FLAGS = int(~Flag(0))
-"""Every flag at once."""
+ALL_FLAGS = int(~Flag(0))  # every flag at once
 
 
 class Estimate(NamedTuple):

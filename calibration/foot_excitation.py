@@ -27,11 +27,8 @@ from surefoot.calibration.setup import OnlineSetup, setup_from_options
 
 Floats = NDArray[np.float64]
 
-PIECE = 0.5
-"""Pieces in s that time is cut into: of what ends within the same one, the best is kept."""
-
-KEPT = 10
-"""How many are kept of each."""
+PIECE = 0.5  # pieces in s that time is cut into: of what ends within the same one, the best is kept
+KEPT = 10  # how many are kept of each
 
 GOALS = ("cop", "channel")
 """What a plan lowers: the error of the centre of pressure, or that of the worst channel's force."""

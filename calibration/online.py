@@ -78,8 +78,7 @@ _METHODS = {
 METHODS = MappingProxyType(_METHODS)
 """All online methods by name, registered ones among them."""
 
-SHIPPED = frozenset(METHODS)
-"""Names of the methods of this package."""
+SHIPPED = frozenset(METHODS)  # names of the methods of this package
 
 
 def register_method(

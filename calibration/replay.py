@@ -23,8 +23,7 @@ from surefoot.calibration.online import MethodOptions, method_entry, resolve_met
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import MomentumReference, Reference
 
-PAPER_CUTOFF = 10.0
-"""Cutoff of the CoP paper's zero-phase filter in Hz."""
+PAPER_CUTOFF = 10.0  # cutoff of the CoP paper's zero-phase filter in Hz
 
 
 def replay(

@@ -28,11 +28,8 @@ from surefoot.files import AnyPath, atomic_path, names_in_archive, parse_json, r
 
 __all__ = ["FORMAT", "PolicyFileError", "PolicyNetwork"]
 
-FORMAT = "surefoot-policy-1"
-"""What a policy file calls itself."""
-
-LARGEST_UNPACKED = 2**23
-"""Size in bytes beyond which what a file unpacks to is no policy."""
+FORMAT = "surefoot-policy-1"  # what a policy file calls itself
+LARGEST_UNPACKED = 2**23  # size in bytes beyond which what a file unpacks to is no policy
 
 _REQUIRED = (
     "format",

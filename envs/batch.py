@@ -29,11 +29,8 @@ from surefoot.envs.observation import Look, Observation
 from surefoot.envs.options import check_count, check_render_mode
 from surefoot.native import cores
 
-PHYSICS = mujoco.mjtState.mjSTATE_INTEGRATION
-"""All that MuJoCo's next step depends on."""
-
-RECORD = ("sensordata", "qvel")
-"""What is noted at each substep."""
+PHYSICS = mujoco.mjtState.mjSTATE_INTEGRATION  # all that MuJoCo's next step depends on
+RECORD = ("sensordata", "qvel")  # what is noted at each substep
 
 
 class BatchVectorEnv(SyncVectorEnv):

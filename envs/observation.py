@@ -21,14 +21,9 @@ from surefoot.native import ENVS, Call, Library, PointerRecord
 Floats = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
 
-FORCE_BOUND: Final = 1000.0
-"""Largest force that is shown in N, but of heavy robots."""
-
-COP_BOUND: Final = 1.0
-"""Largest coordinate of a centre of pressure that is shown in m."""
-
-STATE: Final = 15
-"""Numbers of the state after angles and speeds of the joints."""
+FORCE_BOUND: Final = 1000.0  # largest force that is shown in N, but of heavy robots
+COP_BOUND: Final = 1.0  # largest coordinate of a centre of pressure that is shown in m
+STATE: Final = 15  # numbers of the state after angles and speeds of the joints
 
 
 class Places(NamedTuple):

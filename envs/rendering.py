@@ -16,11 +16,8 @@ from surefoot.envs.options import number_of
 Marker = tuple[Sequence[float], Sequence[float], float]
 """A sphere: its position in the world in m, its RGBA and its radius in m."""
 
-VIEW = {"azimuth": 140.0, "elevation": -15.0}
-"""From where a free camera looks, in degrees."""
-
-WINDOW = {"distance": 1.6, **VIEW}
-"""The camera of a window, in m and degrees."""
+VIEW = {"azimuth": 140.0, "elevation": -15.0}  # from where a free camera looks, in degrees
+WINDOW = {"distance": 1.6, **VIEW}  # the camera of a window, in m and degrees
 
 
 class DrawnEnv(gym.Env[Any, Any]):

@@ -4,8 +4,7 @@ import warnings
 
 import numpy as np
 
-PATIENCE = 10.0
-"""Time in s after which a calibrator should have learnt something."""
+PATIENCE = 10.0  # time in s after which a calibrator should have learnt something
 
 
 class Chances:

@@ -17,8 +17,7 @@ Floats = NDArray[np.float64]
 DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
 """What is shown unless something else is asked for, of feet that have centres of pressure of their own."""
 
-CERTAINTY: Final = ("foot_force_std", "cop_std")
-"""Parts that only a method with a covariance has."""
+CERTAINTY: Final = ("foot_force_std", "cop_std")  # parts that only a method with a covariance has
 
 DETERMINED: Final = ("contact_probability", "undetermined")
 """Parts of a method that weighs how likely a foot bears load, and says what it could not determine."""

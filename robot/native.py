@@ -20,11 +20,8 @@ from surefoot.robot.python import AnyBeliefs, PythonSample, Told
 from surefoot.robot.sensing.native import ManySensing
 from surefoot.robot.sensing.sensors import RobotSensors
 
-_OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")
-"""What ``info`` holds of an estimate."""
-
-NOTHING = None, 0
-"""No packets: neither a place of rows nor a number of them."""
+_OF_ESTIMATE = ("flags", "vgrf", "scale", "offset")  # what ``info`` holds of an estimate
+NOTHING = None, 0  # no packets: neither a place of rows nor a number of them
 
 
 class NativeSample:
@@ -167,8 +164,7 @@ class ManySamples:
         return self.robots[0].outputs(self._memory)
 
 
-SampleBackend = PythonSample | NativeSample
-"""Who takes in all samples of one robot."""
+SampleBackend = PythonSample | NativeSample  # who takes in all samples of one robot
 
 
 def native_sample(

@@ -6,8 +6,7 @@ import numpy as np
 
 from surefoot.sensors.randomness import Stream
 
-SENSOR_STREAM = 0x5F00
-"""Number of the random stream that sensors draw from unless another is given."""
+SENSOR_STREAM = 0x5F00  # number of the random stream that sensors draw from unless another is given
 
 BELIEF_STREAM = 0x5F01
 """Number of the random stream that the errors of the robot's beliefs are drawn from."""

@@ -38,8 +38,7 @@ Positive = Annotated[
 ]
 Whole = Annotated[int, Rule("be a positive whole number", lambda value: is_whole(value) and value > 0)]
 Bits = Annotated[int, Rule("lie in 0 to 32", lambda value: is_whole(value) and 0 <= value <= 32)]
-Error = Annotated[NotNegative, ErrorField()]
-"""A number that is an error."""
+Error = Annotated[NotNegative, ErrorField()]  # a number that is an error
 
 OLD_NAMES: Mapping[str, str] = MappingProxyType(
     {

@@ -19,8 +19,7 @@ from surefoot.sensors.randomness import Stream
 
 Array = NDArray[np.float64]
 
-Rng = np.random.Generator | Stream
-"""Where chance comes from."""
+Rng = np.random.Generator | Stream  # where chance comes from
 
 State = TypeVar("State")
 

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from surefoot.native import SENSORS
 
-AHEAD = 256
-"""Blocks that are made at a time where there is no library."""
+AHEAD = 256  # blocks that are made at a time where there is no library
 
 
 def philox(counter: NDArray[np.uint32], key: NDArray[np.uint32]) -> NDArray[np.uint32]:

@@ -40,11 +40,8 @@ _UNKNOWNS = {"bias": 3, "bias-scale": 6, "full": 9}
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 """Where the unknowns of K stand: the diagonal, then K12, K13, K23."""
 
-_BIAS = slice(0, 3)
-"""Where b stands; the entries of K follow."""
-
-_TINY = 1e-12
-"""Size of a corrected reading at least, so that it has a direction."""
+_BIAS = slice(0, 3)  # where b stands; the entries of K follow
+_TINY = 1e-12  # size of a corrected reading at least, so that it has a direction
 
 _MOST_NOISE = 0.05
 """Spread of the readings about the ellipsoid, over gravity, above which the accelerometer was not at rest."""
@@ -58,17 +55,13 @@ _HUBER = 1.345
 _LEAST_SPREAD = 1e-4
 """Spread of the readings about the ellipsoid, over gravity, at least: data without noise have none."""
 
-_OUTLIER = 5.0
-"""Deviations beyond which a sample counts as moved."""
-
-_CONVERGED = 1e-15
-"""Relative change at which the last fit ends."""
+_OUTLIER = 5.0  # deviations beyond which a sample counts as moved
+_CONVERGED = 1e-15  # relative change at which the last fit ends
 
 _FLAT = 0.05
 """Least eigenvalue of a quadric of trace 3 at or below which it is no ellipsoid to start from."""
 
-_UNIT = (0.5, 2.0)
-"""Between these the median size of the readings must lie, over gravity."""
+_UNIT = (0.5, 2.0)  # between these the median size of the readings must lie, over gravity
 
 _CURE = "Rest the accelerometer on further sides, such as all six of a cube and some between them."
 

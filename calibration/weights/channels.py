@@ -20,8 +20,7 @@ from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
 __all__ = ["ChannelFit", "fit_channels"]
 
-_SAME = 1e-9
-"""Loads or codes whose relative difference is at or below this count as the same."""
+_SAME = 1e-9  # loads or codes whose relative difference is at or below this count as the same
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,7 @@ CONTROL_STEP: Final = 0.02
 """Duration of a step in s, up to the simulation's own step: a whole number of the 2 ms and 1.25 ms with which
 the robots are simulated, which 1/80 s is not, and as often as humanoids of this size are commanded."""
 
-FEWEST_SUBSTEPS: Final = 5
-"""Simulation steps that a step must have at least."""
+FEWEST_SUBSTEPS: Final = 5  # simulation steps that a step must have at least
 
 FALLEN_TILT: Final = 0.8
 """Angle between the torso and its first posture's vertical in rad above which the robot has fallen."""

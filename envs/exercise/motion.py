@@ -33,11 +33,8 @@ from surefoot.envs.instrumentation.made import keep
 from surefoot.envs.prelude import Prelude
 from surefoot.envs.robots.library import ROBOTS
 
-MOVE_TIME: Final = 4.5
-"""Duration of a sway to one side in units of sqrt(h / g)."""
-
-KNOT_SPACING: Final = 0.2
-"""Distance of tabulated postures as a share of a path."""
+MOVE_TIME: Final = 4.5  # duration of a sway to one side in units of sqrt(h / g)
+KNOT_SPACING: Final = 0.2  # distance of tabulated postures as a share of a path
 
 BENDS: Final = (0.6, 0.8, 1.0, 0.3)
 """Flexions that are added to the knees, in rad: the first with which everything is in reach is taken."""
@@ -45,17 +42,10 @@ BENDS: Final = (0.6, 0.8, 1.0, 0.3)
 INWARD: Final = (0.0, 0.25, 0.5)
 """How far inside the middle of its sole the robot stands on one leg, shares of its half width: likewise."""
 
-FORWARD: Final = 0.45
-"""Amplitude of a sway forward as a share of half a sole's length."""
-
-ASIDE: Final = 0.6
-"""Amplitude of a sway to a side as a share of half the distance between the feet."""
-
-SQUAT: Final = 0.1
-"""How far the centre of mass sinks in a squat, as a share of its height."""
-
-LIFT: Final = 0.06
-"""How far a foot rises, as a share of the height of the centre of mass."""
+FORWARD: Final = 0.45  # amplitude of a sway forward as a share of half a sole's length
+ASIDE: Final = 0.6  # amplitude of a sway to a side as a share of half the distance between the feet
+SQUAT: Final = 0.1  # how far the centre of mass sinks in a squat, as a share of its height
+LIFT: Final = 0.06  # how far a foot rises, as a share of the height of the centre of mass
 
 ONE_LEG_FORWARD: Final = 0.35
 """Amplitude of a sway forward over one foot as a share of half its sole's length."""
@@ -63,11 +53,8 @@ ONE_LEG_FORWARD: Final = 0.35
 ONE_LEG_ASIDE: Final = 0.3
 """Amplitude of a sway aside over one foot as a share of half its sole's width."""
 
-SURELY_BEARS: Final = 0.1
-"""Share of the weight above which a foot on the ground is in stance."""
-
-SURELY_UP: Final = 0.5
-"""Share of the lift above which a foot is in swing."""
+SURELY_BEARS: Final = 0.1  # share of the weight above which a foot on the ground is in stance
+SURELY_UP: Final = 0.5  # share of the lift above which a foot is in swing
 
 REACH: Final = 1.6
 """How far paths go on beyond their end where the legs can, for motions that are played by name."""

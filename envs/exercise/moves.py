@@ -12,8 +12,7 @@ SWAYS: Final = ("forward", "left", "forward left", "forward right")
 EXTENTS: Final = (1.4, 1.0, 0.5)
 """Extents of the motions that are offered, as shares of a path: the first that a robot can do."""
 
-TEMPOS: Final = (0.5, 1.0, 1.4)
-"""Tempos that they are offered with: factors on all speeds."""
+TEMPOS: Final = (0.5, 1.0, 1.4)  # tempos that they are offered with: factors on all speeds
 
 
 class Move(NamedTuple):

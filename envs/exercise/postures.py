@@ -16,14 +16,9 @@ from numpy.typing import NDArray
 from surefoot.envs.exercise.robot import ExerciseRobot, motor_moments
 from surefoot.envs.instrumentation.feet import standing_pose
 
-TOLERANCE: Final = 1e-5
-"""Largest error left in m and rad."""
-
-ITERATIONS: Final = 40
-"""Newton steps before a posture counts as out of reach; a few suffice."""
-
-PITCH_AXIS: Final = 0.8
-"""Least share of the robot's left in the axis of a joint that pitches."""
+TOLERANCE: Final = 1e-5  # largest error left in m and rad
+ITERATIONS: Final = 40  # Newton steps before a posture counts as out of reach; a few suffice
+PITCH_AXIS: Final = 0.8  # least share of the robot's left in the axis of a joint that pitches
 
 
 class UnreachableError(ValueError):

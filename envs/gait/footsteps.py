@@ -16,17 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-CONTROL_RATE = 80
-"""Control steps a second."""
+CONTROL_RATE = 80  # control steps a second
 
 MAX_STEP_LENGTH = 0.09
 """Longest step in m: one foot ahead of the other. With bent knees the leg still reaches this far."""
 
-MAX_STEP_TURN = 0.16
-"""Largest turn a step in rad; the inner foot turns by twice as much."""
-
-HALF_WIDTH = 0.05
-"""Distance of either ankle from the middle in m: legs vertical below the hips."""
+MAX_STEP_TURN = 0.16  # largest turn a step in rad; the inner foot turns by twice as much
+HALF_WIDTH = 0.05  # distance of either ankle from the middle in m: legs vertical below the hips
 
 _HEEL = 0.062
 """How far the shoe reaches behind the ankle in m: a foot that opens swings its heel inwards by this much."""

@@ -14,11 +14,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-TOLERANCE = 2e-6
-"""Largest error left in m and rad."""
-
-ITERATIONS = 30
-"""Newton steps before a posture counts as out of reach; a few suffice."""
+TOLERANCE = 2e-6  # largest error left in m and rad
+ITERATIONS = 30  # Newton steps before a posture counts as out of reach; a few suffice
 
 DAMPING = 1e-9
 """Keeps a step finite where a leg is stretched; the costs of the tasks are 3 and more."""

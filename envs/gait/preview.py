@@ -28,8 +28,7 @@ from scipy.linalg import solve_discrete_are
 GRAVITY = 9.81
 """Acceleration of free fall in m/s²."""
 
-HORIZON = 2.0
-"""How far ahead the reference is known, in s."""
+HORIZON = 2.0  # how far ahead the reference is known, in s
 
 ERROR_WEIGHT = 1.0
 """:math:`Q_e`, per m² of zero-moment point error."""

@@ -18,8 +18,7 @@ from surefoot.envs.gait.footsteps import (
 from surefoot.envs.gait.ground import Walk
 from surefoot.envs.options import numbers_of
 
-LEAST_STAND = 0.5
-"""Shortest leg of standing in s: the weight has to settle."""
+LEAST_STAND = 0.5  # shortest leg of standing in s: the weight has to settle
 
 
 class Leg(NamedTuple):

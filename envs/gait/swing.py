@@ -16,11 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 TOE_AND_HEEL = (0.10897, -0.06103)
 """How far ahead of the sole's origin the sole's front and rear edges lie, in m."""
 
-LIFT_HEIGHT = 0.015
-"""How high a foot is lifted, in m."""
-
-MAX_ROLL = 0.2
-"""Largest pitch in rad: the rear of the sole is then 34 mm above the ground."""
+LIFT_HEIGHT = 0.015  # how high a foot is lifted, in m
+MAX_ROLL = 0.2  # largest pitch in rad: the rear of the sole is then 34 mm above the ground
 
 ROLL_SHARE = 0.5
 """Share of a double support that a foot takes to roll, at its end with light load or after its landing."""

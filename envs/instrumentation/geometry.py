@@ -29,11 +29,8 @@ NO_HEADING: Final = 0.9
 FACE_DEPTH: Final = 0.002
 """Height in m above a sole's lowest point up to which a point still belongs to it."""
 
-NARROWEST: Final = 0.001
-"""Least distance in m of a cell from the middle of its rectangle."""
-
-THINNEST: Final = 0.005
-"""Spread in m below which the points of a foot lie on one line."""
+NARROWEST: Final = 0.001  # least distance in m of a cell from the middle of its rectangle
+THINNEST: Final = 0.005  # spread in m below which the points of a foot lie on one line
 
 
 _SHAPES: Final = tuple(

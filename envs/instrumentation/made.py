@@ -26,8 +26,7 @@ from surefoot.envs.instrumentation.swap import (
 
 Value = TypeVar("Value")
 
-MOST_KEPT: Final = 4
-"""Robots that are kept for more environments of the same kind."""
+MOST_KEPT: Final = 4  # robots that are kept for more environments of the same kind
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,7 @@ import numpy as np
 
 from surefoot.envs.instrumentation.geometry import colliding
 
-THINNEST = 1e-4
-"""What a box reaches beyond its mesh in m, as a flat one has no volume."""
+THINNEST = 1e-4  # what a box reaches beyond its mesh in m, as a flat one has no volume
 
 
 def box_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:

@@ -16,14 +16,9 @@ from surefoot.envs.instrumentation.robot import MeasuredRobot, measure_robot
 from surefoot.envs.robots.library import ROBOTS, load_robot_spec, read_robot_spec
 from surefoot.files import atomic_path
 
-SIZE = 640, 480
-"""Width and height of each of two pictures in pixels: what every model has room for."""
-
-MARGIN = 0.005
-"""How far cells are drawn in from the soles' edges in m, as wrappers do."""
-
-ABOVE = 0.004
-"""Height in m above the soles in which their marks are drawn."""
+SIZE = 640, 480  # width and height of each of two pictures in pixels: what every model has room for
+MARGIN = 0.005  # how far cells are drawn in from the soles' edges in m, as wrappers do
+ABOVE = 0.004  # height in m above the soles in which their marks are drawn
 
 EDGE, AXIS, CELL = (0.1, 0.4, 1.0, 1.0), (1.0, 0.2, 0.1, 1.0), (1.0, 0.8, 0.1, 1.0)
 """Colours of a sole's edge, of its x axis and of its cells."""

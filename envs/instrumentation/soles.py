@@ -12,14 +12,9 @@ from surefoot.envs.instrumentation.geometry import FootGeometry, below, collidin
 SOLE_LENGTH: Final = 0.2
 """Length of a sole as a share of the torso's height above it: a person's foot under a person's chest."""
 
-SOLE_WIDTH: Final = 0.4
-"""Width of a sole as a share of its length."""
-
-SOLE_THICKNESS: Final = 0.01
-"""Thickness of a sole in m."""
-
-HEEL: Final = 0.3
-"""Share of a sole's length behind the ankle."""
+SOLE_WIDTH: Final = 0.4  # width of a sole as a share of its length
+SOLE_THICKNESS: Final = 0.01  # thickness of a sole in m
+HEEL: Final = 0.3  # share of a sole's length behind the ankle
 
 
 def put_soles(

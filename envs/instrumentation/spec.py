@@ -18,11 +18,8 @@ from surefoot.envs.instrumentation.geometry import FootGeometry
 from surefoot.envs.instrumentation.robot import MeasuredRobot, joint_name, measure_robot
 from surefoot.envs.instrumentation.truth import FeetTruth
 
-_CONTACT_DATA = 0b10110
-"""Bits of a contact sensor's force, torque and position."""
-
-_NET_FORCE = 3
-"""A contact sensor's reduction of all contacts to one."""
+_CONTACT_DATA = 0b10110  # bits of a contact sensor's force, torque and position
+_NET_FORCE = 3  # a contact sensor's reduction of all contacts to one
 
 
 @dataclass(frozen=True, eq=False)

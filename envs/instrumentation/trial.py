@@ -12,11 +12,8 @@ from gymnasium.wrappers import HumanRendering, RecordVideo, RenderCollection
 
 from surefoot.envs.instrumentation.swap import put_in, sensors_off, swap_in
 
-STEPS: Final = 10
-"""Control steps with random actions that a copy takes."""
-
-SEED: Final = 0
-"""Of the copies' episode and of the actions."""
+STEPS: Final = 10  # control steps with random actions that a copy takes
+SEED: Final = 0  # of the copies' episode and of the actions
 
 _PICTURES: Final = (HumanRendering, RecordVideo, RenderCollection)
 """Wrappers that draw or write and change nothing that an agent sees: copies go without them."""

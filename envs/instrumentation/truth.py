@@ -20,8 +20,7 @@ from surefoot.envs.instrumentation.robot import RowLayout
 
 Array = NDArray[np.float64]
 
-CONTACT_FORCE = 5.0
-"""Vertical force in N above which a centre of pressure is defined."""
+CONTACT_FORCE = 5.0  # vertical force in N above which a centre of pressure is defined
 
 
 class _Part:

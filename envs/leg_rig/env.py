@@ -23,11 +23,8 @@ from surefoot.envs.leg_rig.spec import (
 from surefoot.envs.options import check_action, check_render_mode, positive
 from surefoot.envs.rendering import DrawnEnv, SceneRenderer
 
-CONTROL_STEP = 0.1
-"""Duration of one environment step in s."""
-
-SUBSTEPS = 50
-"""Simulation steps of 2 ms within one environment step."""
+CONTROL_STEP = 0.1  # duration of one environment step in s
+SUBSTEPS = 50  # simulation steps of 2 ms within one environment step
 
 ACCELERATION = float(np.radians(10.0))
 """How fast the commanded speed of the hip changes at most, in rad/s^2."""

@@ -14,8 +14,7 @@ __all__ = ["RIG_SPEED_DEG", "HipMotion", "raster", "sweep", "swing"]
 RIG_SPEED_DEG = 6.0
 """Highest speed of each hip joint in deg/s: of what the sensors feel then, about 0.1 % is motion."""
 
-_STRAIGHTNESS = 0.7
-"""From 0, a sine, to 1, a triangle: how sharply the joints turn around."""
+_STRAIGHTNESS = 0.7  # from 0, a sine, to 1, a triangle: how sharply the joints turn around
 
 
 @dataclass(frozen=True, eq=False)

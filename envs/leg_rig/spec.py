@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from surefoot.envs.options import positive
 
-SENSORS: Final = ("foot", "leg")
-"""The order of the F/T sensors everywhere."""
+SENSORS: Final = ("foot", "leg")  # the order of the F/T sensors everywhere
 
 HIP_JOINTS: Final = ("hip_front_back", "hip_lateral")
 """The order of the hip's joints: positive is forward, and outward (to the right)."""
@@ -32,8 +31,7 @@ HIP_RANGE: Final[NDArray[np.float64]] = np.radians([70.0, 90.0])
 FOOT_IN_LEG: Final[NDArray[np.float64]] = np.array([-0.0035, 0.0, 0.3636])
 """Origin of the foot's sensor in the frame of the leg's, to which its own is parallel, in m, shape (3,)."""
 
-STEEL: Final = 7850.0
-"""Density of the added masses in kg/m^3."""
+STEEL: Final = 7850.0  # density of the added masses in kg/m^3
 
 CONTACT_ANGLE: Final = float(np.radians(-15.0))
 """Front-back angle in rad below which the tip of the beam touches the floor, at lateral angle 0."""

@@ -13,8 +13,7 @@ from surefoot.envs.nao.surprise import NaoSurpriseEnv
 from surefoot.envs.observation import Seen
 from surefoot.envs.options import check_range, numbers_of
 
-COP_SCALE = 0.015
-"""Error of the centre of pressure in m at which its reward is down to 1/e."""
+COP_SCALE = 0.015  # error of the centre of pressure in m at which its reward is down to 1/e
 
 PAYLOAD_BOXES = (((-0.08, -0.12, 0.0), (0.10, 0.12, 0.10)),)
 """Corners of the box in the torso's frame within which a payload's centre of mass lies, in m."""
@@ -131,14 +130,9 @@ class NaoBalanceEnv(NaoSurpriseEnv, NaoStandEnv):
 
 SHORTEST_PERIOD = 3.0
 
-LONGEST_PERIOD = 8.0
-"""Bounds of the periods of the sines that a sway is the sum of, in s."""
-
-WAVES = 3
-"""How many sines each axis has."""
-
-FADE_TIME = 2.0
-"""How long in s a sway takes to reach its full size."""
+LONGEST_PERIOD = 8.0  # bounds of the periods of the sines that a sway is the sum of, in s
+WAVES = 3  # how many sines each axis has
+FADE_TIME = 2.0  # how long in s a sway takes to reach its full size
 
 
 class RandomSway(NamedTuple):

@@ -17,8 +17,7 @@ It reaches far before and behind, and not to the side: where one leg carries, it
 N m that its motor gives before any load comes: a load at the side would be a matter of torque, not balance.
 """
 
-COP_SCALE = 0.012
-"""Error of the centre of pressure in m at which its reward has fallen to 1/e."""
+COP_SCALE = 0.012  # error of the centre of pressure in m at which its reward has fallen to 1/e
 
 COP_WEIGHT = 3.0
 """What a centre of pressure where it is planned is paid, as a multiple of what walking alone pays."""

@@ -9,8 +9,7 @@ import numpy as np
 
 from surefoot.envs.options import check_range, numbers_of, positive
 
-PUSH_TIME = 0.1
-"""How long a push lasts in s."""
+PUSH_TIME = 0.1  # how long a push lasts in s
 
 
 class Pushes:
@@ -62,8 +61,7 @@ class Pushes:
 POSITION_PAYLOAD_TORSO = (0.06, 0.0, 0.04)
 """Where a payload's centre of mass lies in the torso's frame, in m: held before the chest."""
 
-HALF_EDGE = 0.03
-"""Half the edge in m of the cube whose inertia a payload has."""
+HALF_EDGE = 0.03  # half the edge in m of the cube whose inertia a payload has
 
 
 LINK = ("body_mass", "body_ipos", "body_inertia", "body_iquat")

@@ -33,11 +33,8 @@ from surefoot.envs.robots.nao import (
     place_on_ground,
 )
 
-CONTROL_STEP = 1.0 / 80.0
-"""Duration of one environment step in s."""
-
-SUBSTEPS = 10
-"""Simulation steps of 1.25 ms within one environment step."""
+CONTROL_STEP = 1.0 / 80.0  # duration of one environment step in s
+SUBSTEPS = 10  # simulation steps of 1.25 ms within one environment step
 
 FALLEN_HEIGHT = 0.22
 """Height of the torso's origin in m below which the robot has fallen (standing: 0.32)."""
@@ -51,11 +48,8 @@ SINK = 0.00016
 SINK_EXPONENT = 1.3
 """Power of the time constant with which it gives way: 2 for a linear spring, less as MuJoCo's stiffens."""
 
-GROUND_TIME_CONSTANT = 0.02
-"""Time constant in s of the contacts in nao.xml: firm ground."""
-
-COP_SCALE = 0.02
-"""Error of the centre of pressure in m at which its reward has fallen to 1/e."""
+GROUND_TIME_CONSTANT = 0.02  # time constant in s of the contacts in nao.xml: firm ground
+COP_SCALE = 0.02  # error of the centre of pressure in m at which its reward has fallen to 1/e
 
 DEFAULT_STIFFNESS = (1.08, 0.87, 0.94, 1.15, 0.91, 1.12, 1.18, 0.83)
 """Relative stiffnesses of the eight cells, uneven by up to 18 %: no two corners of a real shoe are alike."""

@@ -13,11 +13,8 @@ from surefoot.envs.nao.env import CONTROL_STEP, NaoEnv
 from surefoot.envs.options import numbers_of, positive
 from surefoot.envs.robots.nao import FEET, place_on_ground
 
-LEG_LENGTH = 0.2029
-"""Thigh and tibia in m."""
-
-LARGEST_SWAY = 0.065
-"""Largest sway in m that keeps the robot over its feet."""
+LEG_LENGTH = 0.2029  # thigh and tibia in m
+LARGEST_SWAY = 0.065  # largest sway in m that keeps the robot over its feet
 
 
 class NaoStandEnv(NaoEnv):

@@ -16,8 +16,7 @@ from surefoot.envs.options import check_number
 VELOCITY_SCALE = 0.1
 """Error of the velocity of the centre of mass in m/s at which its reward has fallen to 1/e."""
 
-TILT_SCALE = 0.2
-"""Tilt of the torso in rad at which its reward has fallen to 1/e."""
+TILT_SCALE = 0.2  # tilt of the torso in rad at which its reward has fallen to 1/e
 
 
 class NaoPatternEnv(NaoEnv):

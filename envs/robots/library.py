@@ -22,8 +22,7 @@ _MENAGERIE: Final = {
     "berkeley": "berkeley_humanoid",
 }
 
-ROBOTS: Final = ("nao", *_GYMNASIUM, *_MENAGERIE)
-"""Names of the robots that can be loaded."""
+ROBOTS: Final = ("nao", *_GYMNASIUM, *_MENAGERIE)  # names of the robots that can be loaded
 
 
 def load_robot_spec(name: str) -> mujoco.MjSpec:

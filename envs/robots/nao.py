@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-FEET = ("left", "right")
-"""The order of the feet everywhere."""
+FEET = ("left", "right")  # the order of the feet everywhere
 
 CELLS = ("front_left", "front_right", "rear_left", "rear_right")
 """The order of a foot's load cells everywhere."""

@@ -24,8 +24,7 @@ _VECTORS = {
 }
 """Fields of beliefs that are vectors, with their units, by the beginning of their columns."""
 _TRUTH = {"force": "N", "scale": "N_per_count", "offset": "N"}  # of each channel
-PHASES = ("stance", "swing")
-"""Contacts that a robot is sure of; a foot in between is neither."""
+PHASES = ("stance", "swing")  # contacts that a robot is sure of; a foot in between is neither
 LOADS = {"load_kg": GRAVITY, "load_N": 1.0}
 """Columns of the load that every cell bears by itself, and what one is in N."""
 _POSE = "pose"  # in the place of the two fields of the soles' poses

@@ -26,8 +26,7 @@ from surefoot.files import atomic_path, lock_folder, read_json, write_text
 CHECKPOINT, OPTIONS, CURVE, POLICY = "checkpoint.pt", "options.json", "curve.csv", "policy.npz"
 """What a training leaves in its folder."""
 
-BOARD = "tensorboard"
-"""Where in it TensorBoard finds its events, if they are wanted."""
+BOARD = "tensorboard"  # where in it TensorBoard finds its events, if they are wanted
 
 
 Progress = Callable[[int, dict[str, float]], None]  # after each update: how many there were, and the row

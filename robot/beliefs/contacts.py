@@ -21,14 +21,9 @@ LIFTED = 0.01
 """Height in m of a foot's lowest part above the lower foot's from which it is surely in the air: ten times
 what encoders that are off by 1e-3 rad make of a leg of a metre."""
 
-DOWN = 0.003
-"""The same height up to which a foot is down."""
-
-FLAT = 0.03
-"""Slope of a sole in rad beyond which the foot is rolling, and its height says little."""
-
-COS_FLAT = 1.0 - 0.5 * FLAT * FLAT
-"""Its cosine, to second order."""
+DOWN = 0.003  # the same height up to which a foot is down
+FLAT = 0.03  # slope of a sole in rad beyond which the foot is rolling, and its height says little
+COS_FLAT = 1.0 - 0.5 * FLAT * FLAT  # its cosine, to second order
 
 
 def plan_window(lag: int) -> tuple[int, int]:
@@ -47,8 +42,7 @@ LEANING = 0.4
 """Mean believed acceleration as a share of gravity from which a robot is not upright: half a radian off
 the vertical."""
 
-LEAN_TIME = 0.25
-"""Time constant in s of that mean, longer than a push or a landing."""
+LEAN_TIME = 0.25  # time constant in s of that mean, longer than a push or a landing
 
 LARGEST_FORCE_BIAS = 1.5
 """Supposed error of an accelerometer in m/s^2 that is none, but gravity from another side."""

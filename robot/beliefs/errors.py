@@ -34,8 +34,7 @@ class BeliefErrors:
         check_fields(self)
 
 
-USUAL: Final = BeliefErrors()
-"""What a robot is wrong by unless something else is given."""
+USUAL: Final = BeliefErrors()  # what a robot is wrong by unless something else is given
 
 NO_ERRORS: Final = BeliefErrors(mass=0.0, com=0.0, scale=0.0, offset=0.0)
 """A robot that knows itself."""

@@ -6,8 +6,7 @@ from surefoot.robot.beliefs.contacts import CONTACT_MARGIN
 from surefoot.sensors.telemetry.computer import Telemetry
 from surefoot.sensors.transport.link import JITTER_BOUND, Link
 
-HISTORY = 64
-"""How many joined packets are kept: more than any lag needs."""
+HISTORY = 64  # how many joined packets are kept: more than any lag needs
 
 JOINED_TIME = 0.01
 """Time in s over which packets of a faster link are joined into one: a NAO's period. Second differences of

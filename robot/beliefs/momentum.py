@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-COM = 0
-"""Row of the centre of mass in every :class:`MomentumRows`."""
+COM = 0  # row of the centre of mass in every MomentumRows
 
 
 class MomentumRows(NamedTuple):

@@ -17,8 +17,7 @@ from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.beliefs.strapdown import StrapdownConstants
 from surefoot.sensors.transport.link import Packets
 
-AT_ONCE = 8
-"""Packets that are handed over together."""
+AT_ONCE = 8  # packets that are handed over together
 
 
 class NativeBeliefs:

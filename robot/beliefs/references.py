@@ -38,11 +38,8 @@ from surefoot.robot.beliefs.strapdown import RollingOdometry
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
 
-SLOPE = 3
-"""Packets over which the soles' velocities are taken."""
-
-FURTHEST = 8.0
-"""How many packets ahead soles are assumed to keep their velocities."""
+SLOPE = 3  # packets over which the soles' velocities are taken
+FURTHEST = 8.0  # how many packets ahead soles are assumed to keep their velocities
 
 CLOCK_MEMORY = 256
 """Packets over which arrival times are averaged to find the robot's clock on the host's."""

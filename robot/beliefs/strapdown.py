@@ -24,8 +24,7 @@ from surefoot.robot.beliefs.odometry import FREE_FALL
 
 Floats = NDArray[np.float64]
 
-LEG_TIME = 1.0
-"""1 / k_1 in s: a step or two, over which the rolling of soles averages out."""
+LEG_TIME = 1.0  # 1 / k_1 in s: a step or two, over which the rolling of soles averages out
 
 TILT_RATE = 0.5
 """Where both poles of a tilt lie, in rad/s, which with k_1 = 1 / s makes k_2 the square of it over g."""
@@ -34,8 +33,7 @@ ZERO_OFFSET = 0.2
 """B in m/s^2: 20 mg, which data sheets of accelerometers in robots promise. A floor that leans by more than a
 degree looks like more, and is believed the less the more it does."""
 
-BIAS_TIME = 20.0
-"""T_b in s: biases follow ten times slower than what shows them."""
+BIAS_TIME = 20.0  # t_b in s: biases follow ten times slower than what shows them
 
 TOUCH = 0.003
 """Height in m above the lowest point of the soles at which a point no longer counts as touching: encoders

@@ -14,8 +14,7 @@ from surefoot.sensors.faults.channels import KINDS
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.randomness import uniform
 
-Severity = float | tuple[float, float]
-"""A factor of all errors, or the lowest and the highest."""
+Severity = float | tuple[float, float]  # a factor of all errors, or the lowest and the highest
 
 Faults = Sequence[str | Fault | Mapping[str, Any]] | Mapping[str, float]
 """What breaks when, or how likely what happens to a channel in an episode."""

@@ -11,8 +11,7 @@ from surefoot.sensors.configuration import current_names, from_mapping
 from surefoot.sensors.presets import refuse_config, resolve
 from surefoot.sensors.transport.link import JITTER_BOUND
 
-FootDevice = LoadCells | ForceTorque
-"""What can be under a foot."""
+FootDevice = LoadCells | ForceTorque  # what can be under a foot
 
 
 def foot_device(config: str | Mapping[str, Any] | FootDevice, name: str = "config") -> FootDevice:

@@ -23,8 +23,7 @@ _SEEN = itemgetter("raw", "counts", "state")
 _NOTHING = np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.int32)
 """No numbers of a state that are measured."""
 
-Maps = tuple[NDArray[np.float64], ...]
-"""Factors and forces to add of cells; nothing without cells."""
+Maps = tuple[NDArray[np.float64], ...]  # factors and forces to add of cells; nothing without cells
 
 
 class Places(NamedTuple):

@@ -17,8 +17,7 @@ TRUE_KEYS = ("foot_force", "cop", "cop_foot", "cop_valid")
 TRUTH_KEY = "surefoot_truth"
 """Name of the row of truth that vector environments carry in an observation."""
 
-HIDDEN = (*TRUE_KEYS, TRUTH_KEY)
-"""Parts that nobody is shown."""
+HIDDEN = (*TRUE_KEYS, TRUTH_KEY)  # parts that nobody is shown
 
 
 class RawView:

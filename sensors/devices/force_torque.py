@@ -40,8 +40,7 @@ from surefoot.sensors.randomness import normal
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.transport.wire import DIRECT, Wire, wire
 
-AXES = 6
-"""Channels of a sensor, the components of a wrench (fx, fy, fz, tx, ty, tz)."""
+AXES = 6  # channels of a sensor, the components of a wrench (fx, fy, fz, tx, ty, tz)
 
 MOST_ERROR = 0.25
 """Largest ``initial_scale_std + 5 cross_talk_std`` (one axis and the five others) for which the matrices of

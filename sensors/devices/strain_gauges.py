@@ -36,8 +36,7 @@ from surefoot.sensors.stages.hysteresis import HysteresisState, hysteresis
 from surefoot.sensors.stages.nonlinearity import cross_nonlinearity
 from surefoot.sensors.stages.temperature import temperature_rise
 
-STEPS = 64
-"""The matrix has changed in so many small steps."""
+STEPS = 64  # the matrix has changed in so many small steps
 
 SCALE, OFFSET = 0, 1
 """Rows of :attr:`StrainGaugeState.tempco`."""

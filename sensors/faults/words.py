@@ -18,8 +18,7 @@ from collections.abc import Sequence
 
 from surefoot.sensors.faults.channels import Fault
 
-FEET = ("left", "right")
-"""Feet in the order of the channels."""
+FEET = ("left", "right")  # feet in the order of the channels
 
 CELLS = ("front-left", "front-right", "rear-left", "rear-right")
 """Cells of a foot in the order of the channels."""

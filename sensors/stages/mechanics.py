@@ -20,8 +20,7 @@ from surefoot.sensors.stages.mounting import WARP, mounting
 from surefoot.sensors.stages.nonlinearity import random_nonlinearity
 from surefoot.sensors.stages.overload import overload
 
-CELLS_OF_A_FOOT = len(WARP)
-"""Mounting acts on whole feet of this many cells."""
+CELLS_OF_A_FOOT = len(WARP)  # mounting acts on whole feet of this many cells
 
 SMALLEST_LOOP = 2.0**-7
 """Share of the capacity down to which loops of hysteresis are resolved: 0.8 N of 98.1 N."""
@@ -85,8 +84,7 @@ class Mechanics:
         return bool(self.nonlinearity or self.hysteresis or creeps or self.jumps or self.overload_share)
 
 
-IDEAL = Mechanics()
-"""Spring elements that leave the load as it is."""
+IDEAL = Mechanics()  # spring elements that leave the load as it is
 
 
 class MechanicsState(NamedTuple):

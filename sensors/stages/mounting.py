@@ -20,8 +20,7 @@ from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import normal
 
-WARP = (1, -1, -1, 1)
-"""Signs of the warp for (front-left, front-right, rear-left, rear-right)."""
+WARP = (1, -1, -1, 1)  # signs of the warp for (front-left, front-right, rear-left, rear-right)
 
 
 class MountingState(NamedTuple):

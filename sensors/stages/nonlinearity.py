@@ -24,8 +24,7 @@ from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng, limit, stateless
 from surefoot.sensors.randomness import uniform
 
-CUBIC_PEAK = 1.5 * 3.0**0.5
-"""One over the largest value of u (1 - u^2) between 0 and 1."""
+CUBIC_PEAK = 1.5 * 3.0**0.5  # one over the largest value of u (1 - u^2) between 0 and 1
 
 
 def nonlinearity(quadratic: ArrayLike, cubic: ArrayLike, full_scale: ArrayLike) -> Corruption[tuple[()]]:

@@ -13,8 +13,7 @@ from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Array, Corruption, Rng
 from surefoot.sensors.randomness import normal
 
-AXES = 3
-"""Forces on a cell along the sole's z, x and y, in this order."""
+AXES = 3  # forces on a cell along the sole's z, x and y, in this order
 
 
 def shear(std: float) -> Corruption[Array]:

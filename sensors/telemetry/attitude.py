@@ -19,8 +19,7 @@ from typing import NamedTuple
 PROPORTIONAL_GAIN = 0.3
 """k_P in 1/s: slow against a gait, whose swaying tilts the belief, fast against a gyroscope's bias."""
 
-INTEGRAL_GAIN = 0.02
-"""k_I in 1/s^2."""
+INTEGRAL_GAIN = 0.02  # k_I in 1/s^2
 
 LEAST_SQUARE, MOST_SQUARE = 24.0, 217.0
 """Squares of the specific force in m^2/s^4 between which an accelerometer shows what is up, 0.5 to 1.5 g: not

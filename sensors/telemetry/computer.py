@@ -25,8 +25,7 @@ VELOCITY_TIME_CONSTANT = 0.02
 PACKETS_BEFORE_START = 12
 """How many packets the robot has at least sent at rest before an episode begins; more over a late link."""
 
-LONGEST_DELAY = 0.3
-"""Mean delay in s of the latest link that telemetry can come over."""
+LONGEST_DELAY = 0.3  # mean delay in s of the latest link that telemetry can come over
 
 MEASURED = ("joint_position", "joint_velocity", "tilt", "gyroscope")
 """Parts of a state that telemetry has, where the environment names them."""

@@ -19,8 +19,7 @@ ROUNDING = 1e-9
 """Time in s by which a packet may be late and still count: one that arrives with the host's own step must not
 miss it by rounding."""
 
-JITTER_BOUND = 6.0
-"""Standard deviations of a wire's or a link's jitter that no word is late by."""
+JITTER_BOUND = 6.0  # standard deviations of a wire's or a link's jitter that no word is late by
 
 
 @dataclass(frozen=True)
@@ -85,8 +84,7 @@ class Packet(NamedTuple):
     values: NDArray[np.float64]  # content, shape (C,)
 
 
-Packets = tuple[Packet, ...]
-"""Packets under way, in order: the state of a link."""
+Packets = tuple[Packet, ...]  # packets under way, in order: the state of a link
 
 
 def send(

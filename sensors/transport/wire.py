@@ -25,8 +25,7 @@ from surefoot.sensors.corruption import Array, Corruption, Rng, parts
 from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
 from surefoot.sensors.transport.link import latency
 
-ALONE = 1e-9
-"""Mean length in s of a gap of a single packet: far below any time between packets."""
+ALONE = 1e-9  # mean length in s of a gap of a single packet: far below any time between packets
 
 
 @dataclass(frozen=True)
@@ -83,8 +82,7 @@ class Wire:
         return any(errors) or self.late
 
 
-DIRECT = Wire()
-"""A wire at the end of which everything arrives, right and at once."""
+DIRECT = Wire()  # a wire at the end of which everything arrives, right and at once
 
 
 class Wired(Protocol):
