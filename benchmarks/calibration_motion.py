@@ -20,9 +20,9 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from surefoot.arrays import Floats, stack_rows
 from surefoot.calibration import GRAVITY, FootMotion, MovingRobot, Parameters, plan_foot_excitation
 from surefoot.envs import ExerciseEnv, NaoWalkEnv, Prelude
-from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.motion import Limits, Rehearsal, plan_motion, rehearse
 from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.progress import each

@@ -37,15 +37,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from surefoot.arrays import Floats, stack_rows, take_rows
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.calibration.moment import modes
 from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native.config import moment_constants
-from surefoot.experiments.arrays import stack_rows, take_rows
 from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.runner import runner
 from surefoot.experiments.study.sources import source_hash
@@ -57,8 +56,6 @@ from surefoot.native import CALIBRATION, require
 from surefoot.robot.sensing.instruments import usual_cells
 from surefoot.sensors import LoadCells, scaled
 from surefoot.wrappers import FootSensors, SelfCalibration
-
-Floats = NDArray[np.float64]
 
 METHODS = ("none", "tare", "window", "moment", "integrated")
 """``integrated`` is ``moment`` on accelerations that it adds up itself, as logs have them."""

@@ -38,10 +38,10 @@ import pandas as pd
 from numpy.typing import NDArray
 from rich.console import Console
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, METHODS, FeetLayout, FootLayout, Parameters, Reference, zero_phase
 from surefoot.calibration.cop import cop_of_cells
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.instrument.recording import read_recording
 from surefoot.experiments.instrument.twin import Twin, identify
 from surefoot.experiments.logs.contacts import refer_to_contacts

@@ -20,10 +20,10 @@ import gymnasium as gym
 import numpy as np
 from rich.console import Console
 
+from surefoot.arrays import stack_rows
 from surefoot.calibration import GRAVITY, Reference
 from surefoot.calibration.layout import FeetLayout, FootLayout
 from surefoot.calibration.results import Finding
-from surefoot.experiments.arrays import stack_rows
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.tables import Table, share

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from surefoot.arrays import Floats
 
 Array = Any
 """A NumPy array, or a NumPy number where its shape is (); GPU modules hold tensors in the same records."""
@@ -27,23 +28,21 @@ def in_a_row(*widths: int) -> Iterator[slice]:
         yield slice(end, end := end + width)
 
 
-def skew(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def skew(vectors: Floats) -> Floats:
     """Return [v]x of vectors, shapes (..., 3) and (..., 3, 3): [v]x a = v x a."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*np.shape(vectors), 3)
 
 
-def of_unit_length(columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def of_unit_length(columns: Floats) -> tuple[Floats, Floats]:
     """Return columns over their lengths, and the lengths; one for a column of zeros."""
     size = np.linalg.norm(columns, axis=0)
     size = np.where(size > 0.0, size, 1.0)
     return columns / size, size
 
 
-def orthonormal(
-    columns: NDArray[np.float64], rounding: float = ROUNDING
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def orthonormal(columns: Floats, rounding: float = ROUNDING) -> tuple[Floats, Floats]:
     """Return an orthonormal basis of columns X, shape (n, p), and X^+ by that basis, shape (c, p)."""
     unit, size = of_unit_length(columns)
     left, singular, right = np.linalg.svd(unit, full_matrices=False)
@@ -51,7 +50,7 @@ def orthonormal(
     return left[:, seen], right[seen].T / singular[seen] / size[:, None]
 
 
-def triangle(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+def triangle(columns: Floats) -> Floats:
     """Return R of a QR decomposition with as many rows as columns, also of fewer samples."""
     width = columns.shape[1]
     if len(columns) < width:

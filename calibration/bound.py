@@ -13,8 +13,8 @@ it.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.cop import cop_of_moments
 from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Spread, first_variance
@@ -26,8 +26,6 @@ from surefoot.calibration.moment.modes import FREE, wrench_variance
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
-
-Floats = NDArray[np.float64]
 
 
 class Bound(NamedTuple):

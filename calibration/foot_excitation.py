@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.bound import LogPassages, Passage
 from surefoot.calibration.checks import check_value
 from surefoot.calibration.layout import FeetLayout
@@ -24,8 +24,6 @@ from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup, setup_from_options
-
-Floats = NDArray[np.float64]
 
 PIECE = 0.5  # pieces in s that time is cut into: of what ends within the same one, the best is kept
 KEPT = 10  # how many are kept of each

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.arrays import skew
 from surefoot.calibration.checks import check_shape
 
@@ -35,12 +36,12 @@ class FootSensor:
     """
 
     channels: slice  # its channels within the foot
-    wrench_map: NDArray[np.float64]
+    wrench_map: Floats
     """Its own sole wrench per unit of each of its channels, shape (6, channels)."""
     six_axis: bool  # whether its channels are the axes of one six-axis sensor, which may talk across
-    share: NDArray[np.float64]  # share of its wrench in the foot's, axis by axis, shape (6,)
+    share: Floats  # share of its wrench in the foot's, axis by axis, shape (6,)
     mass_below: float = 0.0  # mass beyond it in kg
-    com_below_sole: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    com_below_sole: Floats = field(default_factory=lambda: np.zeros(3))
     """Centre of that mass in the sole frame in m, shape (3,)."""
 
 
@@ -59,9 +60,9 @@ class FootLayout:
     """
 
     name: str
-    wrench_map: NDArray[np.float64]
+    wrench_map: Floats
     channel_names: tuple[str, ...]
-    position_cell_sole: NDArray[np.float64] | None = None
+    position_cell_sole: Floats | None = None
     sensors: tuple[FootSensor, ...] = ()
     flat: bool = True
 
@@ -286,7 +287,7 @@ class FeetLayout:
         return tuple(f"{foot.name}/{channel}" for foot in self.feet for channel in foot.channel_names)
 
     @property
-    def wrench_map(self) -> NDArray[np.float64]:
+    def wrench_map(self) -> Floats:
         """Sole wrenches per unit of each channel, shape (2, 6, K): zero for the other foot's channels."""
         combined = np.zeros((len(self.feet), 6, self.channels))
         for i, (foot, where) in enumerate(zip(self.feet, self.slices, strict=True)):
@@ -313,21 +314,21 @@ class FeetLayout:
             )
 
 
-def _check_vector(foot: str, what: str, value: ArrayLike) -> NDArray[np.float64]:
+def _check_vector(foot: str, what: str, value: ArrayLike) -> Floats:
     vector = np.asarray(value, dtype=np.float64)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ValueError(f"'{what}' of foot '{foot}' must hold three finite numbers in m, got {value!r}.")
     return vector
 
 
-def _check_rotation(foot: str, value: ArrayLike | None) -> NDArray[np.float64]:
+def _check_rotation(foot: str, value: ArrayLike | None) -> Floats:
     R = np.eye(3) if value is None else np.asarray(value, dtype=np.float64)
     if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
         raise ValueError(f"'R_sole_sensor' of foot '{foot}' must be a rotation of shape (3, 3), got {R}.")
     return R
 
 
-def _check_below(foot: str, mass: float, com: ArrayLike) -> tuple[float, NDArray[np.float64]]:
+def _check_below(foot: str, mass: float, com: ArrayLike) -> tuple[float, Floats]:
     if not (np.isfinite(mass) and mass >= 0.0):
         raise ValueError(f"'mass_below' of foot '{foot}' must be finite and not negative, got {mass} kg.")
     return float(mass), _check_vector(foot, "com_below_sole", com)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.checks import ONE_ROBOT, check_kind, check_value
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.foot_calibrator import FootCalibrator
@@ -29,9 +30,9 @@ PAPER_CUTOFF = 10.0  # cutoff of the CoP paper's zero-phase filter in Hz
 def replay(
     layout: FeetLayout,
     method: str | MethodOptions,
-    raw: NDArray[np.float64],
+    raw: Floats,
     reference: Reference | MomentumReference,
-    dt: float | NDArray[np.float64] = 1.0 / 80.0,
+    dt: float | Floats = 1.0 / 80.0,
     *,
     mass: float,
     initial: Parameters | None = None,
@@ -89,7 +90,7 @@ def replay(
 
 
 def _estimate_by_maps(
-    front_end: FrontEnd, readings: NDArray[np.float64], log: Any, steps: Any, learnt: list[Estimate]
+    front_end: FrontEnd, readings: Floats, log: Any, steps: Any, learnt: list[Estimate]
 ) -> list[Estimate]:
     """Return the estimates of readings as they are, by maps that were learnt from filtered ones."""
     front, found = front_end.init(readings[0]), []
@@ -101,9 +102,7 @@ def _estimate_by_maps(
     return found
 
 
-def _check_log(
-    layout: FeetLayout, readings: NDArray[np.float64], reference: Any, dt: Any
-) -> tuple[Any, NDArray[np.float64]]:
+def _check_log(layout: FeetLayout, readings: Floats, reference: Any, dt: Any) -> tuple[Any, Floats]:
     """Return a log's reference in double precision, and its times between samples, or refuse them."""
     check_kind("layout", layout, FeetLayout)
     if not isinstance(reference, MomentumReference):

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import (
     check_count,
@@ -203,7 +203,7 @@ class QuietStanding:
             ready=self.ready(state),
         )
 
-    def _deviations(self) -> NDArray[np.float64]:
+    def _deviations(self) -> Floats:
         """Return the units of (a, b), shape (2 K,): one is as far from the start as assumed."""
         return np.repeat([self.scale_std, self.offset_std], self.layout.channels)
 

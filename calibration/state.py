@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.estimate import ALL_FLAGS
 from surefoot.calibration.setup import OLD_NAMES
 from surefoot.files import AnyPath, atomic_path, read_arrays
@@ -180,7 +181,7 @@ def _leaves(state: Any, path: str = "") -> dict[str, Any]:
     return result
 
 
-def _rebuild(like: Any, leaves: dict[str, NDArray[np.float64]], path: str) -> Any:
+def _rebuild(like: Any, leaves: dict[str, Floats], path: str) -> Any:
     """Put leaves back into a tree of the same form."""
     branches = _branches(like)
     if branches is not None:

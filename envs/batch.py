@@ -18,6 +18,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.biped import BipedEnv, State, effort
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.env import ExerciseEnv
@@ -146,7 +147,7 @@ class BatchVectorEnv(SyncVectorEnv):
 
     def step(
         self, actions: NDArray[np.float32]
-    ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    ) -> tuple[Observation, Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Step all robots; in the mode ``NEXT_STEP`` those whose episode is over are reset instead.
 
         Actions are residuals on the leg motors' targets as shares of ``action_scale``, shape (N, 11).
@@ -191,7 +192,7 @@ class BatchVectorEnv(SyncVectorEnv):
             )
         return over if mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
 
-    def _act(self, residual: NDArray[np.float64], stepping: NDArray[np.bool_]) -> None:
+    def _act(self, residual: Floats, stepping: NDArray[np.bool_]) -> None:
         """Let robots plan a control step, and simulate it."""
         task, state = self._task, self._present
         prepares = np.zeros(self.num_envs, dtype=bool)

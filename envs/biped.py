@@ -17,6 +17,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.command import Command
 from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.envs.instrumentation.robot import RowLayout
@@ -32,9 +33,9 @@ class State(NamedTuple):
     plan: Any  # what the episode has drawn to be commanded; each task has its own kind
     tick: Any  # control steps since the episode began
     command: Command  # the robot's present command to itself
-    target: NDArray[np.float64]  # of the motors at the end of the last step in rad, shape (..., M)
+    target: Floats  # of the motors at the end of the last step in rad, shape (..., M)
     correction: Any  # what the next step adds to the leg motors' targets beside the residual in rad
-    cop_held: NDArray[np.float64]  # last valid centres of pressure, as in :class:`Look`
+    cop_held: Floats  # last valid centres of pressure, as in :class:`Look`
 
 
 class Fall(NamedTuple):
@@ -143,7 +144,7 @@ class BipedEnv(DrawnEnv):
     def draw(self, options: dict[str, Any]) -> Any:
         """Draw an episode's plan, and what disturbs it; called at every reset, after seeding."""
 
-    def place(self, command: Command, target: NDArray[np.float64]) -> None:
+    def place(self, command: Command, target: Floats) -> None:
         """Put the robot where an episode begins, with its first command and targets."""
         raise NotImplementedError
 
@@ -163,7 +164,7 @@ class BipedEnv(DrawnEnv):
         """
         raise NotImplementedError
 
-    def read(self, rows: NDArray[np.float64]) -> Any:
+    def read(self, rows: Floats) -> Any:
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         raise NotImplementedError
 
@@ -181,17 +182,17 @@ class BipedEnv(DrawnEnv):
         up = seen.up_x * fall.up[0] + seen.up_y * fall.up[1] + seen.up_z * fall.up[2]
         return not (up > fall.lowest_up and seen.height > fall.lowest_height)
 
-    def check_action(self, action: Any, robots: tuple[int, ...] = ()) -> NDArray[np.float64]:
+    def check_action(self, action: Any, robots: tuple[int, ...] = ()) -> Floats:
         """Return residuals on leg motors' targets as shares of ``action_scale``, (..., L), or ValueError."""
         return check_action(action, self._leg_names, "a residual for each leg motor", self._neutral, robots)
 
-    def targets(self, state: State, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    def targets(self, state: State, residual: Floats) -> Floats:
         """Return the motors' targets at the substeps of a control step, shape (..., S, M), in rad."""
         target = state.command.joint_target.astype(np.float64)
         target[..., self._legs] += self._action_scale * residual + state.correction
         target = np.minimum(np.maximum(target, self._low), self._high)
         move = np.minimum(np.maximum(target - state.target, -self.fastest), self.fastest)
-        targets: NDArray[np.float64] = state.target[..., None, :] + self._fraction * move[..., None, :]
+        targets: Floats = state.target[..., None, :] + self._fraction * move[..., None, :]
         return targets
 
     def judge(self, seen: Sequence[float]) -> tuple[dict[str, float], bool]:
@@ -265,7 +266,7 @@ class BipedEnv(DrawnEnv):
         self._show()
         return look.observation, sum(terms.values()), fallen, truncated, info
 
-    def _end_step(self, state: State, rows: NDArray[np.float64], qvel: NDArray[np.float64]) -> Look:
+    def _end_step(self, state: State, rows: Floats, qvel: Floats) -> Look:
         look = self.observer.look(rows, qvel, state.command, state.cop_held)
         self.truth = self.read(rows)
         correction = self.correct(self.truth, state.command)
@@ -284,6 +285,6 @@ def _is_of_mujoco(part: Any) -> bool:
     return False
 
 
-def effort(residual: NDArray[np.float64]) -> Any:
+def effort(residual: Floats) -> Any:
     """Return the reward of actions, -0.1 times their mean square, shape (...)."""
     return -0.1 * np.vecdot(residual, residual) / residual.shape[-1]

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
+
 
 class Command(NamedTuple):
     """One tick of a pattern: the robot knows it because it asked for it; it is no truth.
@@ -25,13 +27,13 @@ class Command(NamedTuple):
         phase: Progress through the gait cycle (left and right step), in [0, 1); 0 while standing.
     """
 
-    joint_target: NDArray[np.float64]
-    com: NDArray[np.float64]
-    com_velocity: NDArray[np.float64]
-    com_acceleration: NDArray[np.float64]
-    cop: NDArray[np.float64]
-    position_sole: NDArray[np.float64]
-    yaw_sole: NDArray[np.float64]
+    joint_target: Floats
+    com: Floats
+    com_velocity: Floats
+    com_acceleration: Floats
+    cop: Floats
+    position_sole: Floats
+    yaw_sole: Floats
     stance: NDArray[np.bool_]
     swing: NDArray[np.bool_]
     phase: float

@@ -12,13 +12,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.command import Command, command_state, rotate_level
 from surefoot.envs.instrumentation.means import places_record
 from surefoot.envs.instrumentation.robot import RowLayout
 from surefoot.envs.instrumentation.truth import centres, ground_at_feet
 from surefoot.native import ENVS, Call, Library, PointerRecord
 
-Floats = NDArray[np.float64]
 Observation = dict[str, NDArray[Any]]
 
 FORCE_BOUND: Final = 1000.0  # largest force that is shown in N, but of heavy robots

@@ -5,7 +5,8 @@ from math import isfinite, nan
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from surefoot.arrays import Floats
 
 
 def positive(name: str, value: float, *, or_zero: bool = False) -> float:
@@ -49,7 +50,7 @@ def check_stiffness(value: Sequence[float]) -> tuple[float, ...]:
 
 def check_action(
     action: Any, names: tuple[str, ...], each: str, cure: str, robots: tuple[int, ...] = ()
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return an action, clipped to -1 ... 1, of one robot, or of N with ``robots`` (N,).
 
     ``names`` are the joints that it moves. Messages have the name of ``each`` of its numbers, and the

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import stack_rows
 from surefoot.calibration import FeetLayout, Parameters
 from surefoot.calibration.foot_excitation import FootExcitation, FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.envs.exercise.env import ExerciseEnv
 from surefoot.envs.exercise.moves import list_motions
 from surefoot.envs.instrumentation.truth import FeetTruth
 from surefoot.envs.prelude import Player, Prelude
-from surefoot.experiments.arrays import stack_rows
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, decimal
 from surefoot.robot.beliefs.errors import NO_ERRORS

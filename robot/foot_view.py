@@ -7,12 +7,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, FeetLayout
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.online import METHODS, method_entry
 from surefoot.envs.observation import COP_BOUND, FORCE_BOUND
-
-Floats = NDArray[np.float64]
 
 DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
 """What is shown unless something else is asked for, of feet that have centres of pressure of their own."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import FootCalibrator
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import NativeFilter
@@ -136,8 +137,8 @@ class ManySamples:
         which: NDArray[np.intp],
         sensed: ManySensing,
         planned: NDArray[np.bool_] | None,
-        then: NDArray[np.float64],
-        now: NDArray[np.float64],
+        then: Floats,
+        now: Floats,
         hold: bool,
         threads: int,
     ) -> None:

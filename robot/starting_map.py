@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import Curves, Parameters
 from surefoot.calibration.weights.known_map import is_file_of_map, read_map
 from surefoot.robot.beliefs.errors import BeliefErrors
@@ -55,7 +55,7 @@ class StartingMap:
             return {name: part.tolist() for name, part in self.known._asdict().items()} | curves
         return "calibrated" if self.calibrated else "nominal"
 
-    def off(self, true: Parameters, drawn: NDArray[np.float64]) -> Parameters:
+    def off(self, true: Parameters, drawn: Floats) -> Parameters:
         """Return a true map, shape (..., K), that is off by the errors of a calibrated start.
 
         ``drawn`` are standard normal numbers, shape (2, ..., K).
@@ -82,7 +82,7 @@ def _read(initial: Any, channels: int) -> str | Parameters:
     return Parameters(*(_channels(name, initial[name], channels) for name in Parameters._fields))
 
 
-def _channels(name: str, given: Any, channels: int) -> NDArray[np.float64]:
+def _channels(name: str, given: Any, channels: int) -> Floats:
     """Read one finite number a channel."""
     try:
         # A copy: what the caller does to its array later must not change where an episode starts.

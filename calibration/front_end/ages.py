@@ -16,8 +16,8 @@ channel adds to the vertical force, least squares relative to the :math:`\delta`
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.setup import OnlineSetup
 
@@ -28,7 +28,7 @@ _LONGEST = 4.0
 """Samples by which a force is carried on at most: that it helps for longer has not been seen."""
 
 
-def extrapolation_time(setup: OnlineSetup) -> NDArray[np.float64]:
+def extrapolation_time(setup: OnlineSetup) -> Floats:
     """Return by how long each channel is carried on in s, shape (K,)."""
     age = np.asarray(setup.age, dtype=np.float64)
     return np.minimum(age, _LONGEST * setup.dt) + np.zeros(setup.layout.channels)

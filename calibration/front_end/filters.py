@@ -14,8 +14,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.arrays import Array
 
 
@@ -52,7 +52,7 @@ def low_pass(cutoff: float, dt: float) -> LowPass:
     return LowPass(init, apply)
 
 
-def zero_phase(values: NDArray[np.float64], cutoff: float, dt: float) -> NDArray[np.float64]:
+def zero_phase(values: Floats, cutoff: float, dt: float) -> Floats:
     """Filter a whole log forwards and backwards, so that nothing is delayed.
 
     Missing values are bridged by straight lines for the filter's sake and are missing again in the result.
@@ -83,11 +83,11 @@ def zero_phase(values: NDArray[np.float64], cutoff: float, dt: float) -> NDArray
     padding = min(len(flat) - 1, round(1.0 / (cutoff * dt)))
     filtered = sosfiltfilt(np.concatenate([b, a])[None], flat, axis=0, padlen=padding)
     filtered[~known] = np.nan
-    result: NDArray[np.float64] = filtered.reshape(np.shape(values))
+    result: Floats = filtered.reshape(np.shape(values))
     return result
 
 
-def coefficients(cutoff: float, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def coefficients(cutoff: float, dt: float) -> tuple[Floats, Floats]:
     """Write the filter as its matrix, shape (3, 3), and its state per unit of a constant, shape (2, 1)."""
     _check(cutoff, dt)
     b, a = _butterworth(cutoff, dt)
@@ -102,7 +102,7 @@ def coefficients(cutoff: float, dt: float) -> tuple[NDArray[np.float64], NDArray
     return transition, steady
 
 
-def _butterworth(cutoff: float, dt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _butterworth(cutoff: float, dt: float) -> tuple[Floats, Floats]:
     """Return b and a of the difference equation: the bilinear transform of 1 / (s² + √2 s + 1)."""
     k = np.tan(np.pi * cutoff * dt)
     a = np.array([1.0 + np.sqrt(2.0) * k + k * k, 2.0 * (k * k - 1.0), 1.0 - np.sqrt(2.0) * k + k * k])

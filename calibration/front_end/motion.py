@@ -10,8 +10,8 @@ The order is that of :class:`MotionColumns`.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.checks import check_shape
 from surefoot.calibration.cop import level_rows
@@ -91,7 +91,7 @@ class Motions:
         self.columns = MotionColumns.of(self._feet)
         self.shapes = reference_shapes(self._feet)
         level = np.tile(np.eye(3).ravel(), self._feet)
-        self.resting: NDArray[np.float64] = np.concatenate([np.zeros(self.columns.R_level_sole.start), level])
+        self.resting: Floats = np.concatenate([np.zeros(self.columns.R_level_sole.start), level])
 
     def check(self, reference: Reference | MomentumReference) -> None:
         """Raise ValueError if a field has another shape or contacts are no booleans, or TypeError."""

@@ -24,8 +24,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.calibration.arrays import MAD_TO_STD, of_unit_length
 from surefoot.calibration.checks import check_value
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
@@ -80,14 +81,14 @@ class AccelerometerFit:
         gravity: The size of gravity that was taken, in m/s^2 (1.0 for g).
     """
 
-    bias: NDArray[np.float64]
-    matrix: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    bias: Floats
+    matrix: Floats
+    covariance: Floats
     result: FitResult
     stats: FitStats
     gravity: float
 
-    def correct(self, specific_force: ArrayLike) -> NDArray[np.float64]:
+    def correct(self, specific_force: ArrayLike) -> Floats:
         """Return K (f - b) in the unit of gravity; at rest, g in the sensor's frame is its negative.
 
         Args:
@@ -160,7 +161,7 @@ def calibrate_accelerometer(
     )
 
 
-def _unpack(theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _unpack(theta: Floats) -> tuple[Floats, Floats]:
     """Return the unknowns as b and K."""
     K = np.eye(3)
     entries = theta[_BIAS.stop :]
@@ -168,7 +169,7 @@ def _unpack(theta: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
     return theta[_BIAS], K
 
 
-def _distances(theta: NDArray[np.float64], force: NDArray[np.float64]) -> NDArray[np.float64]:
+def _distances(theta: Floats, force: Floats) -> Floats:
     """Return the distances from the ellipsoid to first order, (|K (f - b)| - 1) / |K'u|, shape (n,)."""
     bias, K = _unpack(theta)
     corrected = (force - bias) @ K.T
@@ -176,7 +177,7 @@ def _distances(theta: NDArray[np.float64], force: NDArray[np.float64]) -> NDArra
     return np.asarray((size - 1.0) / np.linalg.norm(corrected / size[:, None] @ K, axis=1))
 
 
-def _slopes(theta: NDArray[np.float64], force: NDArray[np.float64]) -> NDArray[np.float64]:
+def _slopes(theta: Floats, force: Floats) -> Floats:
     """Return the slopes of the distances by the unknowns, shape (n, p)."""
     bias, K = _unpack(theta)
     d = force - bias
@@ -196,13 +197,13 @@ def _slopes(theta: NDArray[np.float64], force: NDArray[np.float64]) -> NDArray[n
     return np.asarray(of_a / s - (a - 1.0) / s**2 * of_s)
 
 
-def _spread_of(residual: NDArray[np.float64], unknowns: int) -> float:
+def _spread_of(residual: Floats, unknowns: int) -> float:
     """Return the standard deviation of the residuals, which outliers do not move."""
     lost = np.sqrt(len(residual) / (len(residual) - unknowns))
     return max(float(MAD_TO_STD * lost * np.median(np.abs(residual))), _LEAST_SPREAD)
 
 
-def _fit_ellipsoid(force: NDArray[np.float64], unknowns: int) -> tuple[Any, NDArray[np.float64]]:
+def _fit_ellipsoid(force: Floats, unknowns: int) -> tuple[Any, Floats]:
     """Fit samples that did not move; return SciPy's result, and these samples."""
     from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
 
@@ -215,7 +216,7 @@ def _fit_ellipsoid(force: NDArray[np.float64], unknowns: int) -> tuple[Any, NDAr
     return least_squares(_distances, start, args=(kept,), **plain), kept
 
 
-def _robust_start(force: NDArray[np.float64], unknowns: int) -> tuple[NDArray[np.float64], float]:
+def _robust_start(force: Floats, unknowns: int) -> tuple[Floats, float]:
     """Fit with Huber's loss; return unknowns and the scale of residuals, or refuse a moving sensor."""
     from scipy.optimize import least_squares
 
@@ -236,7 +237,7 @@ def _robust_start(force: NDArray[np.float64], unknowns: int) -> tuple[NDArray[np
     return start, scale
 
 
-def _algebraic_start(force: NDArray[np.float64], unknowns: int) -> NDArray[np.float64]:
+def _algebraic_start(force: Floats, unknowns: int) -> Floats:
     """Return unknowns by a linear fit of a quadric, or of a sphere if that is no ellipsoid."""
     x, y, z = force.T
     square = np.sum(force**2, axis=1)
@@ -266,9 +267,7 @@ def _algebraic_start(force: NDArray[np.float64], unknowns: int) -> NDArray[np.fl
     return np.concatenate([centre, K[_ROWS, _COLUMNS]])[:unknowns]
 
 
-def _determine(
-    jacobian: NDArray[np.float64], model: str, tolerance: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _determine(jacobian: Floats, model: str, tolerance: float) -> tuple[Floats, Floats]:
     """Return the map from unit residuals to the unknowns, and singular values; refuse too low a rank."""
     unit, length = of_unit_length(jacobian)
     _, singular, right = np.linalg.svd(unit, full_matrices=False)
@@ -283,7 +282,7 @@ def _determine(
 
 def _read_samples(
     specific_force: ArrayLike, gravity: float, unknowns: int, minimum_spread: float
-) -> tuple[NDArray[np.float64], int]:
+) -> tuple[Floats, int]:
     """Return finite samples in units of gravity, shape (n, 3), and the number of others.
 
     Another shape is a ValueError. Too few, another unit and too few orientations are refused.

@@ -1,8 +1,8 @@
 """How far gravity turned in the readings of an IMU."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.results import CalibrationRefused
 
 __all__ = ["MINIMUM_SPREAD", "check_gravity_spread", "gravity_spread"]
@@ -21,7 +21,7 @@ _SEEN = (
 )
 
 
-def gravity_spread(centred: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+def gravity_spread(centred: Floats, size: float) -> Floats:
     """Return by how much of its size gravity spreads along its principal axes, the widest first, shape (3,).
 
     Args:
@@ -34,9 +34,7 @@ def gravity_spread(centred: NDArray[np.float64], size: float) -> NDArray[np.floa
     return spread
 
 
-def check_gravity_spread(
-    centred: NDArray[np.float64], size: float, minimum: float, sought: str, cure: str
-) -> None:
+def check_gravity_spread(centred: Floats, size: float, minimum: float, sought: str, cure: str) -> None:
     """Raise CalibrationRefused if vectors of gravity do not spread in three dimensions.
 
     Vectors and size are those of :func:`gravity_spread`. They must spread by a minimum, as a share of

@@ -15,8 +15,9 @@ The angular acceleration alpha is the derivative of the gyroscope's rate by loca
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.calibration.imu.static import savitzky_golay
 
 __all__ = ["ImuMotion", "gravity_from_imu"]
@@ -31,9 +32,9 @@ class ImuMotion(NamedTuple):
         angular_acceleration: In rad/s^2, shape (n, 3).
     """
 
-    gravity: NDArray[np.float64]
-    angular_velocity: NDArray[np.float64]
-    angular_acceleration: NDArray[np.float64]
+    gravity: Floats
+    angular_velocity: Floats
+    angular_acceleration: Floats
 
 
 def gravity_from_imu(

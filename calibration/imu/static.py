@@ -8,8 +8,9 @@ it looks into the future and serves logs only.
 from math import factorial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.calibration.checks import check_value
 
 __all__ = ["savitzky_golay"]
@@ -17,7 +18,7 @@ __all__ = ["savitzky_golay"]
 
 def savitzky_golay(
     signal: ArrayLike, window: int = 301, order: int = 3, *, derivative: int = 0, dt: float = 1.0
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return a log smoothed by local polynomials (in-situ paper, IV), or its derivative.
 
     Args:

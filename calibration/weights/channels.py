@@ -13,8 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
@@ -28,7 +29,7 @@ class ChannelFit:
     """Scales and offsets of K channels from known loads."""
 
     value: Parameters  # the map F = c S + d; in the unit of the loads (N, or kg as in the paper's Table 2)
-    covariance: NDArray[np.float64]
+    covariance: Floats
     """Of each channel's (c, d), shape (K, 2, 2), from the scatter of the residuals; NaN for a channel with
     two samples, which leave none."""
     result: FitResult  # always determined: a channel that is not is refused
@@ -81,9 +82,7 @@ def fit_channels(raw: ArrayLike, load: ArrayLike, channel_names: Sequence[str] |
     )
 
 
-def _fit_line(
-    code: NDArray[np.float64], load: NDArray[np.float64], name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64], FitStats]:
+def _fit_line(code: Floats, load: Floats, name: str) -> tuple[Floats, Floats, FitStats]:
     """Regress one channel's loads on its codes; returns (c, d), their covariance and the stats."""
     kept = np.isfinite(code) & np.isfinite(load)
     dropped = int(np.sum(~kept))

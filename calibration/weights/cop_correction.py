@@ -19,8 +19,9 @@ though the paper names nonlinear least squares. Three things that the paper leav
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_cells
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
@@ -32,14 +33,14 @@ __all__ = ["CopCorrectionFit", "fit_cop_correction"]
 class CopCorrectionFit:
     """The correction of a foot's centre of pressure (CoP paper, Eqs. 3 to 5)."""
 
-    value: NDArray[np.float64]
+    value: Floats
     """(a0, ..., a5, b1, ..., bk) of each axis, shape (2, 6 + k): m, 1, 1, 1/m, 1/m, 1/m, m/N."""
-    covariance: NDArray[np.float64]
+    covariance: Floats
     """Of each axis's coefficients from the scatter of the residuals, shape (2, 6 + k, 6 + k); zero along the
     directions that were left at zero."""
     result: FitResult  # whether all coefficients were determined
     stats: FitStats  # of the fit; the residual is the length of the error of the centre of pressure in m
-    position_cell_sole: NDArray[np.float64]  # places of the cells in m, shape (k, 2)
+    position_cell_sole: Floats  # places of the cells in m, shape (k, 2)
     threshold: float  # force in N at or below which there is no centre of pressure
 
     def cop(self, force: Array) -> Array:
@@ -121,9 +122,7 @@ def fit_cop_correction(
     )
 
 
-def _solve(
-    basis: NDArray[np.float64], target: NDArray[np.float64], tolerance: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], int, float]:
+def _solve(basis: Floats, target: Floats, tolerance: float) -> tuple[Floats, Floats, int, float]:
     """Return coefficients, the map from unit errors to them, rank and condition; refuse too low a rank."""
     # To one length, or the cut-off would be a matter of units; cells alike, so that none is preferred.
     length, unknowns = np.linalg.norm(basis, axis=0), basis.shape[1]
@@ -140,12 +139,7 @@ def _solve(
     return to_coefficients @ (left[:, :rank].T @ target), to_coefficients, rank, condition
 
 
-def _check_shapes(
-    force: NDArray[np.float64],
-    load: NDArray[np.float64],
-    hole: NDArray[np.float64],
-    cell: NDArray[np.float64],
-) -> None:
+def _check_shapes(force: Floats, load: Floats, hole: Floats, cell: Floats) -> None:
     """Raise ValueError if arrays are not of the same placements and cells."""
     if cell.ndim != 2 or cell.shape[1] != 2:
         raise ValueError(f"'position_cell' must have shape (cells, 2) or (cells, 3), got {cell.shape}.")
@@ -159,9 +153,7 @@ def _check_shapes(
             raise ValueError(f"'{what}' must have shape {shape} like 'force', got {array.shape}.")
 
 
-def _check_placements(
-    load: NDArray[np.float64], hole: NDArray[np.float64], unknowns: int, gated: int, threshold: float
-) -> None:
+def _check_placements(load: Floats, hole: Floats, unknowns: int, gated: int, threshold: float) -> None:
     """Raise CalibrationRefused if the placements do not determine the coefficients, with the missing data."""
     if len(load) < unknowns:
         raise CalibrationRefused(

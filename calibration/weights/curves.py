@@ -14,9 +14,11 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import curve_fit, isotonic_regression
+
+from surefoot.arrays import Floats
 
 __all__ = ["CurveFit", "Curves", "fit_curve"]
 
@@ -69,7 +71,7 @@ class Curves:
         """Whether any channel has a curve."""
         return bool(self._cubics)
 
-    def straighten(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+    def straighten(self, raw: Floats) -> Floats:
         """Return straight readings in counts.
 
         Args:
@@ -113,7 +115,7 @@ class CurveFit:
     """The curve of one channel under known weights."""
 
     shape: str  # ``"power law"`` or ``"monotone cubic"``
-    knots: NDArray[np.float64] = field(repr=False)  # readings and straight readings in counts, shape (2, m)
+    knots: Floats = field(repr=False)  # readings and straight readings in counts, shape (2, m)
     std: float  # error in N at loads that were left out of the fit, root mean square
     line_std: float  # that of a line there
 
@@ -121,8 +123,8 @@ class CurveFit:
 class _Shape(NamedTuple):
     """Readings in counts, increasing, and loads in N of a curve, shape (m,) each."""
 
-    reading: NDArray[np.float64]
-    load: NDArray[np.float64]
+    reading: Floats
+    load: Floats
 
     def force(self, count: float) -> float:
         """Return the load of a reading between the outermost ones, in N."""
@@ -162,9 +164,7 @@ def fit_curve(code: ArrayLike, load: ArrayLike) -> CurveFit | None:
     return CurveFit(name, np.array([count, straight]), rms[name], rms["line"])
 
 
-def _errors_left_out(
-    shape: Any, count: NDArray[np.float64], load: NDArray[np.float64], number: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
+def _errors_left_out(shape: Any, count: Floats, load: Floats, number: Floats) -> Floats | None:
     """Return errors in N at the inner loads, each left out of the fit; ``None`` if one cannot be fitted."""
     errors = []
     for i in range(1, len(load) - 1):
@@ -176,16 +176,12 @@ def _errors_left_out(
     return np.array(errors)
 
 
-def _line(
-    count: NDArray[np.float64], load: NDArray[np.float64], number: NDArray[np.float64]
-) -> _Shape | None:
+def _line(count: Floats, load: Floats, number: Floats) -> _Shape | None:
     slope, level = np.polyfit(load, count, 1, w=np.sqrt(number))
     return _Shape(slope * load + level, load) if slope > 0.0 else None
 
 
-def _cubic(
-    count: NDArray[np.float64], load: NDArray[np.float64], number: NDArray[np.float64]
-) -> _Shape | None:
+def _cubic(count: Floats, load: Floats, number: Floats) -> _Shape | None:
     level = isotonic_regression(count, weights=number).x
     # Loads that no reading tells apart are one knot.
     groups = np.split(np.arange(len(level)), np.flatnonzero(np.diff(level) > 0.0) + 1)
@@ -194,14 +190,12 @@ def _cubic(
     return _Shape(level[[part[0] for part in groups]], np.array([load[part].mean() for part in groups]))
 
 
-def _power(
-    count: NDArray[np.float64], load: NDArray[np.float64], number: NDArray[np.float64]
-) -> _Shape | None:
+def _power(count: Floats, load: Floats, number: Floats) -> _Shape | None:
     low, high, rise = float(load.min()), float(load.max()), float(np.ptp(count))
     if low < 0.0:
         return None
 
-    def law(share: NDArray[np.float64], zero: float, size: float, exponent: float) -> NDArray[np.float64]:
+    def law(share: Floats, zero: float, size: float, exponent: float) -> Floats:
         return np.asarray(zero + size * share**exponent)
 
     start, bounds = (0.0, 1.0, 1.0), ((-np.inf, 0.0, EXPONENTS[0]), (np.inf, np.inf, EXPONENTS[1]))

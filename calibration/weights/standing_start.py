@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.calibration.checks import check_value
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
@@ -25,7 +26,7 @@ class StandingFit:
 
     value: Parameters  # the map (c, d) of the readings
     correction: Parameters  # the same as (a, b) of F = a F0 + b
-    covariance: NDArray[np.float64]
+    covariance: Floats
     """Of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K), given that the errors of the robot's mass and
     centre of mass are as small as assumed."""
     result: FitResult  # whether all directions were determined; quiet standing alone never does that
@@ -33,7 +34,7 @@ class StandingFit:
     duration: float  # how much of the recording was needed, in s
 
 
-def _check_lengths(code: NDArray[np.float64], reference: Reference) -> None:
+def _check_lengths(code: Floats, reference: Reference) -> None:
     """Raise ValueError if readings and references are not of as many samples."""
     if code.ndim != 2:
         raise ValueError(f"'raw' must have shape (samples, channels), got {code.shape}.")
@@ -42,7 +43,7 @@ def _check_lengths(code: NDArray[np.float64], reference: Reference) -> None:
         raise ValueError(f"'raw' holds {len(code)} samples, but fields of the reference hold {lengths}.")
 
 
-def _too_few(standing: QuietStanding, state: Any, code: NDArray[np.float64]) -> CalibrationRefused:
+def _too_few(standing: QuietStanding, state: Any, code: Floats) -> CalibrationRefused:
     """Return the refusal of a recording with too few usable samples."""
     warm = state.samples + state.dropped + state.gated
     return CalibrationRefused(
@@ -53,12 +54,7 @@ def _too_few(standing: QuietStanding, state: Any, code: NDArray[np.float64]) -> 
     )
 
 
-def standing_start(
-    standing: QuietStanding,
-    raw: ArrayLike,
-    reference: Reference,
-    dt: float,
-) -> StandingFit:
+def standing_start(standing: QuietStanding, raw: ArrayLike, reference: Reference, dt: float) -> StandingFit:
     """Fit a recording, using no more of it than is needed.
 
     Args:
@@ -103,7 +99,7 @@ def standing_start(
     )
 
 
-def _silent_channels(raw: NDArray[np.float64], layout: FeetLayout) -> str:
+def _silent_channels(raw: Floats, layout: FeetLayout) -> str:
     silent = [
         name
         for name, readings in zip(layout.channel_names, raw.T, strict=True)

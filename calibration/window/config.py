@@ -22,8 +22,8 @@ Where the paper is silent or a stream demands it, this departs from it:
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.centroidal import ground_reference
 from surefoot.calibration.checks import check_count, check_not_negative, check_positive
 from surefoot.calibration.cop import cop_of_moments, moment_rows
@@ -160,9 +160,7 @@ class Window:
             raise ValueError(f"'minimum_share' must be a share from 0 to 1, got {self.minimum_share}.")
 
 
-def confidence_from_standing(
-    setup: OnlineSetup, raw: NDArray[np.float64], reference: Reference
-) -> tuple[float, float]:
+def confidence_from_standing(setup: OnlineSetup, raw: Floats, reference: Reference) -> tuple[float, float]:
     """Estimate delta_F and delta_P from a recording of quiet standing, as the paper does.
 
     Both are standard deviations of the feet's forces against those that the motion requires, over a recording

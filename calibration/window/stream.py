@@ -7,8 +7,8 @@ in :mod:`surefoot.calibration.window.config`.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.arrays import Array, in_a_row
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.filters import low_pass
@@ -98,7 +98,7 @@ class SlidingWindow:
         self._pending = PendingColumns(*in_a_row(K, motion, feet, feet, 1, 1))
         self._sample = SampleColumns(*in_a_row(6 * K, 1, 1, 1))
 
-        def per_channel(scale: float, offset: float) -> NDArray[np.float64]:
+        def per_channel(scale: float, offset: float) -> Floats:
             return np.repeat([scale, offset], K)
 
         period = config.every * setup.dt

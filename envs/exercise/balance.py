@@ -11,8 +11,8 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.motion import Motion
 from surefoot.envs.exercise.robot import ExerciseRobot, motor_moments
@@ -45,7 +45,7 @@ class AnkleBalance:
             of_shift.append(exerted / stiffness)
         self._left, self._right = np.array(of_shift).swapaxes(-1, -2)
 
-    def correction(self, truth: FeetTruth, command: Command) -> NDArray[np.float64]:
+    def correction(self, truth: FeetTruth, command: Command) -> Floats:
         """Answer the last row of truth with a correction of leg motors' targets in rad, shape (..., L)."""
         share = self._motion.shares(command)
         left, right = share[..., :1], share[..., 1:]
@@ -55,6 +55,6 @@ class AnkleBalance:
         error += self._time * (truth.com_velocity[..., -1, :2] - command.com_velocity[..., :2])
         shift = np.minimum(np.maximum(GAIN * error, -self._half), self._half)
         forward, aside = shift[..., :1], shift[..., 1:]
-        corrected: NDArray[np.float64] = left * (forward * self._left[0] + aside * self._left[1])
+        corrected: Floats = left * (forward * self._left[0] + aside * self._left[1])
         corrected += right * (forward * self._right[0] + aside * self._right[1])
         return corrected

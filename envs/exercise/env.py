@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.biped import BipedEnv, Fall
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.balance import AnkleBalance
@@ -166,7 +166,7 @@ class ExerciseEnv(BipedEnv):
         """Return the command at a control step of an episode; tasks' rules are in :class:`BipedEnv`."""
         return self.motion.command(tick * self.dt, plan)
 
-    def place(self, command: Command, target: NDArray[np.float64]) -> None:
+    def place(self, command: Command, target: Floats) -> None:
         """Put the robot into its first posture."""
         model, data, rng = self.model, self.data, self.np_random
         joints = self._joint_dofs
@@ -176,11 +176,11 @@ class ExerciseEnv(BipedEnv):
         mujoco.mj_integratePos(model, data.qpos, noise, 1.0)
         data.qvel[:6] = rng.uniform(-self._velocity_noise, self._velocity_noise, 6)
 
-    def read(self, rows: NDArray[np.float64]) -> FeetTruth:
+    def read(self, rows: Floats) -> FeetTruth:
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         return self._instrumentation.read_rows(self.model, rows)
 
-    def correct(self, truth: FeetTruth, command: Command) -> NDArray[np.float64]:
+    def correct(self, truth: FeetTruth, command: Command) -> Floats:
         """Let the ankles answer what a step ended with."""
         return self._balance.correction(truth, command)
 

@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.exercise.env import CONTROL_STEP, FALLEN_HEIGHT, FALLEN_TILT
 from surefoot.envs.exercise.robot import STANDING_STIFFNESS
 from surefoot.envs.instrumentation.feet import standing_pose
@@ -73,7 +74,7 @@ def _leant(model: mujoco.MjModel) -> mujoco.MjData:
     feet = measure_robot(model, data, None, None, 0.0).feet
     bodies = [int(model.body(foot.body).id) for foot in feet]
 
-    def soles() -> NDArray[np.float64]:
+    def soles() -> Floats:
         axes = data.xmat[bodies].reshape(-1, 3, 3)
         places = np.array([foot.position_sole_foot for foot in feet])
         return np.asarray(data.xpos[bodies] + np.einsum("fij,fj->fi", axes, places))

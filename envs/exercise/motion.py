@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from surefoot.arrays import Floats
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.moves import SWAYS, Move, Schedule, motions_of, one_leg
 from surefoot.envs.exercise.postures import Postures, UnreachableError
@@ -65,14 +66,14 @@ _PLANNED: "dict[tuple[Any, ...], Motion]" = {}
 class Paths(NamedTuple):
     """P lines along which the robot moves, each by its parameter s."""
 
-    com: NDArray[np.float64]  # centre of mass at s = 0 in m, shape (P, 3)
-    along: NDArray[np.float64]  # its displacement per unit of s in m, shape (P, 3)
-    lift: NDArray[np.float64]  # heights of both feet at s = 0 in m, shape (P, 2)
-    rise: NDArray[np.float64]  # their change per unit of s in m, shape (P, 2)
-    first: NDArray[np.float64]  # the least s that the legs reach, shape (P,)
-    last: NDArray[np.float64]  # the largest, shape (P,)
+    com: Floats  # centre of mass at s = 0 in m, shape (P, 3)
+    along: Floats  # its displacement per unit of s in m, shape (P, 3)
+    lift: Floats  # heights of both feet at s = 0 in m, shape (P, 2)
+    rise: Floats  # their change per unit of s in m, shape (P, 2)
+    first: Floats  # the least s that the legs reach, shape (P,)
+    last: Floats  # the largest, shape (P,)
     pieces: NDArray[np.intp]  # number of the last cubic of each path, shape (P,)
-    piece: NDArray[np.float64]
+    piece: Floats
     """Cubics of the motors' targets in rad between knots: coefficients, that of the third power first, shape
     (P, pieces, 4, 3, M); paths with fewer knots are filled up."""
 
@@ -129,7 +130,7 @@ class Motion:
             f"{refusal} A keyframe 'home' with the feet closer together or the knees less straight may help."
         )
 
-    def shares(self, command: Command) -> NDArray[np.float64]:
+    def shares(self, command: Command) -> Floats:
         """Return how much of the weight each foot is to bear, shape (..., 2)."""
         return self._postures.shares(command.cop, command.position_sole[..., 2])
 
@@ -172,17 +173,17 @@ class Motion:
     def _add(
         self,
         name: str,
-        com: NDArray[np.float64],
-        along: NDArray[np.float64],
-        lift: NDArray[np.float64],
-        rise: NDArray[np.float64],
+        com: Floats,
+        along: Floats,
+        lift: Floats,
+        rise: Floats,
         first: float,
-        start: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float64]:
+        start: Floats | None = None,
+    ) -> Floats:
         """Tabulate a path from s = 0 outwards; returns the posture at s = 1."""
         # What lifts a foot, or brings the robot over one, ends at 1.
         steps = round((REACH if first < 0.0 else 1.0) / KNOT_SPACING)
-        postures: dict[float, NDArray[np.float64]] = {}
+        postures: dict[float, Floats] = {}
         up = np.maximum(lift, lift + rise)
         for sign in (-1.0, 1.0) if first < 0.0 else (1.0,):
             qpos = self.qpos if start is None else start
@@ -313,9 +314,7 @@ class Motion:
         )
 
 
-def _slopes(
-    model: mujoco.MjModel, postures: list[NDArray[np.float64]], spacing: float
-) -> list[NDArray[np.float64]]:
+def _slopes(model: mujoco.MjModel, postures: list[Floats], spacing: float) -> list[Floats]:
     """Differentiate postures at equal distances along a path, shape (nv,) each."""
     steps = []
     for before, after in pairwise(postures):

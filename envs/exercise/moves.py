@@ -6,6 +6,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
+
 SWAYS: Final = ("forward", "left", "forward left", "forward right")
 """Lines of the sways over both feet, there and back."""
 
@@ -28,12 +30,12 @@ class Move(NamedTuple):
 class Schedule(NamedTuple):
     """An episode's moves one after another, shape (moves,), or (N, moves) of N robots."""
 
-    end: NDArray[np.float64]  # when each ends in s; infinite after the last
+    end: Floats  # when each ends in s; infinite after the last
     total: Any  # when the last one ends
     path: NDArray[np.intp]  # number of its path
-    start: NDArray[np.float64]  # where on it the move starts
-    way: NDArray[np.float64]  # how far it goes
-    length: NDArray[np.float64]  # how long it takes in s
+    start: Floats  # where on it the move starts
+    way: Floats  # how far it goes
+    length: Floats  # how long it takes in s
 
     @classmethod
     def join(cls, plans: Sequence["Schedule"]) -> "Schedule":

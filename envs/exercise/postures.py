@@ -11,8 +11,8 @@ from typing import Any, Final
 import mink
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.exercise.robot import ExerciseRobot, motor_moments
 from surefoot.envs.instrumentation.feet import standing_pose
 
@@ -88,9 +88,7 @@ class Postures:
         self.com = np.array([*self.stand.mean(axis=0), height])
         self.qpos = self.solve(self.com, np.zeros(2), bent)
 
-    def solve(
-        self, com: NDArray[np.float64], lift: NDArray[np.float64], start: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def solve(self, com: Floats, lift: Floats, start: Floats) -> Floats:
         """Find a posture, (nq,), from another: centre of mass, (3,), and heights of the soles, (2,), in m.
 
         Raises:
@@ -127,7 +125,7 @@ class Postures:
             f"{np.round(com, 3).tolist()} m: {error:.4f} m or rad remain."
         )
 
-    def shares(self, cop: NDArray[np.float64], lift: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shares(self, cop: Floats, lift: Floats) -> Floats:
         """Share the load between the soles, (..., 2), so that it acts at a centre of pressure in m, (..., 2).
 
         Who is lifted, by heights of the soles in m, (..., 2), bears nothing.
@@ -139,9 +137,7 @@ class Postures:
         share = np.where(lift[..., 0] > 0.0, 0.0, share)
         return np.stack([share, 1.0 - share], axis=-1)
 
-    def leads(
-        self, qpos: NDArray[np.float64], slope: NDArray[np.float64], share: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def leads(self, qpos: Floats, slope: Floats, share: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the motors' targets in a posture on a path, with shares of the load on the soles, (2,).
 
         ``slope`` is the change of the posture per unit of the path's parameter, (nv,). Targets at rest, and
@@ -179,7 +175,7 @@ class Postures:
         braked = damping * (moments @ slope) / np.where(stiffness > 0.0, stiffness, np.inf)
         return data.actuator_length + lead[:, 0], lead[:, 1] + braked, lead[:, 2]
 
-    def _bent(self, data: mujoco.MjData, bend: float) -> tuple[NDArray[np.float64], float]:
+    def _bent(self, data: mujoco.MjData, bend: float) -> tuple[Floats, float]:
         """Return a stand with flexed knees, and the height of its centre of mass over the soles."""
         model, bent = self.robot.model, self._data
         bent.qpos[:] = data.qpos

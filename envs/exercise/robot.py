@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.made import make
 from surefoot.envs.instrumentation.spec import Instrumentation, instrument
@@ -30,9 +31,9 @@ class ExerciseRobot:
     soles: tuple[int, ...]  # numbers of the sites of both soles, the left one first
     legs: tuple[NDArray[np.intp], ...]  # numbers of each leg's hinge joints, from the hip down
     leg_motors: NDArray[np.intp]  # numbers of the L actuators that move them, in model order
-    centre: NDArray[np.float64]
+    centre: Floats
     """Middles of the largest rectangles on the soles, in the sole frames in m, shape (2, 2)."""
-    half: NDArray[np.float64]  # half their lengths and widths in m, the less of both feet, shape (2,)
+    half: Floats  # half their lengths and widths in m, the less of both feet, shape (2,)
 
     @property
     def gravity(self) -> float:
@@ -97,7 +98,7 @@ def prepare_robot(robot: Any, feet: Sequence[str] | None = None, *, boxes: bool 
     )
 
 
-def motor_moments(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
+def motor_moments(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
     """Return by how much each actuator acts on each degree of freedom, shape (M, nv)."""
     moments = np.zeros((model.nu, model.nv))
     if model.nu:

@@ -13,8 +13,8 @@ import copy
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.robots.nao import motor_names
 
 ARM_OF_TORQUE = 0.01
@@ -24,7 +24,7 @@ Small: the feet shall share forces rather than twist against each other.
 """
 
 
-def joint_velocities(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+def joint_velocities(model: mujoco.MjModel, qpos: Floats, dt: float) -> Floats:
     """Differentiate postures, shape (ticks, nq), by central differences to velocities, shape (ticks, nv).
 
     They are at rest before the first and after the last; ``dt`` s lie between two.
@@ -36,7 +36,7 @@ def joint_velocities(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float
     return qvel
 
 
-def multibody_zmp(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+def multibody_zmp(model: mujoco.MjModel, qpos: Floats, dt: float) -> Floats:
     """Compute the zero-moment point of a motion on the ground, shape (ticks, 2), in m by central differences.
 
     Postures, shape (ticks, nq), are at rest before the first and after the last; body 1 is the tree's root.
@@ -53,7 +53,7 @@ def multibody_zmp(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float) -
         com[k] = data.subtree_com[1]
         momentum[k] = data.subtree_angmom[1]
     mass = float(model.body_subtreemass[1])
-    acceleration: NDArray[np.float64] = np.diff(com, n=2, axis=0, prepend=com[:1], append=com[-1:]) / dt**2
+    acceleration: Floats = np.diff(com, n=2, axis=0, prepend=com[:1], append=com[-1:]) / dt**2
     spin = _rate(momentum, dt)
     force = mass * (acceleration[:, 2] - model.opt.gravity[2])
     height = com[:, 2]
@@ -62,13 +62,7 @@ def multibody_zmp(model: mujoco.MjModel, qpos: NDArray[np.float64], dt: float) -
     return np.stack([x, y], axis=1)
 
 
-def joint_torques(
-    model: mujoco.MjModel,
-    qpos: NDArray[np.float64],
-    cop_foot: NDArray[np.float64],
-    share: NDArray[np.float64],
-    dt: float,
-) -> NDArray[np.float64]:
+def joint_torques(model: mujoco.MjModel, qpos: Floats, cop_foot: Floats, share: Floats, dt: float) -> Floats:
     """Find the torques of a motion with its feet on the ground in N m, shape (ticks, nv).
 
     They are what the motors have to supply besides friction and damping, which are counted in; zero for the
@@ -105,12 +99,7 @@ def joint_torques(
     return torque
 
 
-def motor_targets(
-    model: mujoco.MjModel,
-    qpos: NDArray[np.float64],
-    qvel: NDArray[np.float64],
-    torque: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def motor_targets(model: mujoco.MjModel, qpos: Floats, qvel: Floats, torque: Floats) -> Floats:
     """Lead a motion to make up for servos that give way and lag behind: targets in rad, shape (ticks, M).
 
     A servo pulls with kp (target - q) - kv q', so that target = q + (torque + kv q') / kp. Postures,
@@ -128,9 +117,9 @@ def motor_targets(
     return target
 
 
-def _rate(values: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+def _rate(values: Floats, dt: float) -> Floats:
     """Differentiate along the first axis by central differences; a single row is at rest."""
     if len(values) == 1:
         return np.zeros_like(values)
-    rate: NDArray[np.float64] = np.gradient(values, dt, axis=0)
+    rate: Floats = np.gradient(values, dt, axis=0)
     return rate

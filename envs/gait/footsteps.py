@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from surefoot.arrays import Floats
 
 CONTROL_RATE = 80  # control steps a second
 
@@ -130,9 +131,7 @@ def check_gait(speed: float, turn_rate: float, step_time: float) -> None:
 
 
 def place_footsteps(
-    length: NDArray[np.float64],
-    turn: NDArray[np.float64],
-    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    length: Floats, turn: Floats, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> tuple[Footstep, ...]:
     """Place moves + 1 footsteps beside a path: one a move, and then one that closes the feet.
 
@@ -159,16 +158,14 @@ def place_footsteps(
 
 
 def end_of_path(
-    length: NDArray[np.float64], turn: NDArray[np.float64], start: tuple[float, float, float]
+    length: Floats, turn: Floats, start: tuple[float, float, float]
 ) -> tuple[float, float, float]:
     """Find where a path of :func:`place_footsteps` ends: (x, y) in m and the heading in rad."""
     x, y, heading = _path(length, turn, start)[-1].tolist()
     return x, y, heading
 
 
-def _path(
-    length: NDArray[np.float64], turn: NDArray[np.float64], start: tuple[float, float, float]
-) -> NDArray[np.float64]:
+def _path(length: Floats, turn: Floats, start: tuple[float, float, float]) -> Floats:
     """Body poses (x, y, heading) at each footstep, shape (moves + 1, 3); the last two are the same."""
     moves = len(length)
     share = np.ones(moves)

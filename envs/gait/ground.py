@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.gait.footsteps import LEFT, Footstep, GaitTiming, stance_of_stand
 from surefoot.envs.gait.swing import TOE_AND_HEEL, lift, minimum_jerk, pivot_of, roll_of_step
 
@@ -25,16 +26,16 @@ class Walk(NamedTuple):
 class Ground:
     """The ground's side of a pattern, one row a control step."""
 
-    position_sole: NDArray[np.float64]  # soles' origins, shape (ticks, 2, 3), m
-    yaw_sole: NDArray[np.float64]  # soles' headings, shape (ticks, 2), rad
-    pitch_sole: NDArray[np.float64]  # soles' pitch, positive toe down, shape (ticks, 2), rad
-    cop: NDArray[np.float64]  # where the centre of pressure is to be, shape (ticks, 2), m
-    cop_foot: NDArray[np.float64]  # where each foot is to carry when it does, shape (ticks, 2, 2), m
+    position_sole: Floats  # soles' origins, shape (ticks, 2, 3), m
+    yaw_sole: Floats  # soles' headings, shape (ticks, 2), rad
+    pitch_sole: Floats  # soles' pitch, positive toe down, shape (ticks, 2), rad
+    cop: Floats  # where the centre of pressure is to be, shape (ticks, 2), m
+    cop_foot: Floats  # where each foot is to carry when it does, shape (ticks, 2, 2), m
     stance: NDArray[np.bool_]  # whether a foot is planned to carry, shape (ticks, 2)
-    phase: NDArray[np.float64]  # phase of the stride in [0, 1), shape (ticks,)
+    phase: Floats  # phase of the stride in [0, 1), shape (ticks,)
 
     @property
-    def share(self) -> NDArray[np.float64]:
+    def share(self) -> Floats:
         """Share of the weight on each foot, as the centre of pressure says, shape (ticks, 2)."""
         between = self.cop_foot[:, 1] - self.cop_foot[:, 0]
         right = ((self.cop - self.cop_foot[:, 0]) * between).sum(axis=1) / (between**2).sum(axis=1)
@@ -118,7 +119,7 @@ def _direction(old: Footstep, new: Footstep) -> float:
     return -1.0 if np.cos(new.yaw) * x + np.sin(new.yaw) * y < -1e-6 else 1.0
 
 
-def _cop_of(foot: Footstep) -> NDArray[np.float64]:
+def _cop_of(foot: Footstep) -> Floats:
     """Where the centre of pressure is to be when this foot alone carries, shape (2,)."""
     forward, inward = COP_SOLE
     left = -inward if foot.foot == LEFT else inward
@@ -127,7 +128,7 @@ def _cop_of(foot: Footstep) -> NDArray[np.float64]:
     return np.array([x + c * forward - s * left, y + s * forward + c * left])
 
 
-def _shift(cop: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+def _shift(cop: Floats, start: Floats, end: Floats) -> None:
     """Move smoothly from one place to another, in place, shape (ticks, 2)."""
     way = minimum_jerk(np.arange(len(cop)) / len(cop))
     cop[:] = start + way[:, None] * (end - start)

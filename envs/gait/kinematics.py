@@ -12,7 +12,8 @@ from typing import NamedTuple
 import mink
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+
+from surefoot.arrays import Floats
 
 TOLERANCE = 2e-6  # largest error left in m and rad
 ITERATIONS = 30  # Newton steps before a posture counts as out of reach; a few suffice
@@ -33,7 +34,7 @@ _ANGLES = [3, 4, 5, 9, 10, 11, 18, 19]
 class JointTrack(NamedTuple):
     """Postures over time."""
 
-    qpos: NDArray[np.float64]  # generalised positions, floating torso first, shape (ticks, nq)
+    qpos: Floats  # generalised positions, floating torso first, shape (ticks, nq)
     error: float  # largest remaining error of a sole's or the centre of mass's position, in m
 
 
@@ -71,12 +72,12 @@ class WholeBodyKinematics:
 
     def solve(
         self,
-        com: NDArray[np.float64],
-        position_sole: NDArray[np.float64],
-        yaw_sole: NDArray[np.float64],
-        start: NDArray[np.float64] | None = None,
-        pitch_sole: NDArray[np.float64] | None = None,
-    ) -> tuple[NDArray[np.float64], float]:
+        com: Floats,
+        position_sole: Floats,
+        yaw_sole: Floats,
+        start: Floats | None = None,
+        pitch_sole: Floats | None = None,
+    ) -> tuple[Floats, float]:
         """Find the posture with the soles and the centre of mass in given places, and its error.
 
         Args:
@@ -124,11 +125,7 @@ class WholeBodyKinematics:
         )
 
     def track(
-        self,
-        com: NDArray[np.float64],
-        position_sole: NDArray[np.float64],
-        yaw_sole: NDArray[np.float64],
-        pitch_sole: NDArray[np.float64] | None = None,
+        self, com: Floats, position_sole: Floats, yaw_sole: Floats, pitch_sole: Floats | None = None
     ) -> JointTrack:
         """Find the postures of a motion, each started from the one before.
 
@@ -151,7 +148,7 @@ class WholeBodyKinematics:
             np.concatenate([com_left, sole_left.reshape(len(com), 6), yaw_left, pitch], axis=1) / MEMO_GRID
         ).astype(np.int64)
 
-        solved: dict[bytes, NDArray[np.float64]] = {}
+        solved: dict[bytes, Floats] = {}
         qpos = np.empty((len(com), self.model.nq))
         worst, last = 0.0, None
         for k, key in enumerate(map(np.ndarray.tobytes, keys)):
@@ -165,7 +162,7 @@ class WholeBodyKinematics:
         return JointTrack(qpos, worst + MEMO_GRID)
 
 
-def _turn(yaw: NDArray[np.float64], quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turn(yaw: Floats, quaternion: Floats) -> Floats:
     """Turn orientations, shape (ticks, 4) as (w, x, y, z), by ``yaw`` about the vertical, shape (ticks,)."""
     c, s = np.cos(yaw / 2), np.sin(yaw / 2)
     w, x, y, z = quaternion.T

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.command import Command
 from surefoot.envs.gait.dynamics import joint_torques, joint_velocities, motor_targets, multibody_zmp
 from surefoot.envs.gait.footsteps import CONTROL_RATE, Footstep, GaitTiming, plan_footsteps
@@ -52,17 +53,17 @@ class Pattern:
     Fields of :class:`~surefoot.envs.Command` are in the pattern's world.
     """
 
-    joint_target: NDArray[np.float64]
-    qpos: NDArray[np.float64]  # the planned posture, floating torso first, shape (ticks, nq)
-    com: NDArray[np.float64]
-    com_velocity: NDArray[np.float64]
-    com_acceleration: NDArray[np.float64]
-    cop: NDArray[np.float64]
-    position_sole: NDArray[np.float64]
-    yaw_sole: NDArray[np.float64]
-    pitch_sole: NDArray[np.float64]  # soles' pitch, positive toe down, shape (ticks, 2), rad
+    joint_target: Floats
+    qpos: Floats  # the planned posture, floating torso first, shape (ticks, nq)
+    com: Floats
+    com_velocity: Floats
+    com_acceleration: Floats
+    cop: Floats
+    position_sole: Floats
+    yaw_sole: Floats
+    pitch_sole: Floats  # soles' pitch, positive toe down, shape (ticks, 2), rad
     stance: NDArray[np.bool_]
-    phase: NDArray[np.float64]
+    phase: Floats
     footsteps: tuple[Footstep, ...]  # the footsteps after the initial stand
     kinematic_error: float  # largest error of a planned sole or centre of mass in m
 
@@ -179,11 +180,7 @@ def _com_height(speed: float, timing: GaitTiming) -> float:
 
 @lru_cache(maxsize=64)
 def _plan(
-    walks: tuple[Walk, ...],
-    timing: GaitTiming,
-    ticks: int,
-    foot_roll: float,
-    com_height: float,
+    walks: tuple[Walk, ...], timing: GaitTiming, ticks: int, foot_roll: float, com_height: float
 ) -> Pattern:
     ground = lay_out(walks, timing, ticks, foot_roll)
     model = nao_model()
@@ -191,7 +188,7 @@ def _plan(
     table = CartTable(com_height, 1.0 / CONTROL_RATE)
     height = np.full((len(ground.cop), 1), com_height)
 
-    def postures(com: NDArray[np.float64], press: float = 0.0) -> JointTrack:
+    def postures(com: Floats, press: float = 0.0) -> JointTrack:
         sole = ground.position_sole.copy()
         sole[..., 2] -= press * ground.share
         return kinematics.track(np.hstack([com, height]), sole, ground.yaw_sole, ground.pitch_sole)

@@ -22,8 +22,9 @@ reference :math:`N` samples ahead, is
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
+
+from surefoot.arrays import Floats
 
 GRAVITY = 9.81
 """Acceleration of free fall in m/s²."""
@@ -58,13 +59,13 @@ class CartTable:
 class PreviewTrack(NamedTuple):
     """A motion of the centre of mass along some axes, each of shape (ticks, axes)."""
 
-    position: NDArray[np.float64]  # in m
-    velocity: NDArray[np.float64]  # in m/s
-    acceleration: NDArray[np.float64]  # in m/s²
-    zmp: NDArray[np.float64]  # zero-moment point of the cart-table in m
+    position: Floats  # in m
+    velocity: Floats  # in m/s
+    acceleration: Floats  # in m/s²
+    zmp: Floats  # zero-moment point of the cart-table in m
 
 
-def preview_gains(model: CartTable) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+def preview_gains(model: CartTable) -> tuple[float, Floats, Floats]:
     """Solve the Riccati equation of the cart-table augmented by the summed error.
 
     Gains on the summed error, on the state, shape (3,), and on the reference one to N samples ahead, (N,).
@@ -90,7 +91,7 @@ def preview_gains(model: CartTable) -> tuple[float, NDArray[np.float64], NDArray
     return float(gain[0]), gain[1:], preview
 
 
-def track_zmp(reference: NDArray[np.float64], model: CartTable) -> PreviewTrack:
+def track_zmp(reference: Floats, model: CartTable) -> PreviewTrack:
     """Move the cart so that its zero-moment point follows a reference in m, shape (ticks, axes).
 
     It starts at rest above the reference's start; beyond its end the reference stays where it ended. One that

@@ -11,7 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from surefoot.arrays import Floats
 
 TOE_AND_HEEL = (0.10897, -0.06103)
 """How far ahead of the sole's origin the sole's front and rear edges lie, in m."""
@@ -26,12 +28,12 @@ ROLL_SHARE = 0.5
 class FootRoll(NamedTuple):
     """The pitch of one foot from the double support before its swing to the one after it."""
 
-    before: NDArray[np.float64]  # during the double support before, shape (double,), rad, positive toe down
-    swing: NDArray[np.float64]  # in the air, shape (single,), rad
-    after: NDArray[np.float64]  # during the double support after, shape (double,), rad
+    before: Floats  # during the double support before, shape (double,), rad, positive toe down
+    swing: Floats  # in the air, shape (single,), rad
+    after: Floats  # during the double support after, shape (double,), rad
 
 
-def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
+def minimum_jerk(phase: ArrayLike) -> Floats:
     """Go from 0 to 1 with zero velocity and acceleration at both ends.
 
     The quintic of Flash and Hogan (1985). Phases outside [0, 1] are held at the ends.
@@ -43,7 +45,7 @@ def minimum_jerk(phase: ArrayLike) -> NDArray[np.float64]:
     return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
-def lift(phase: ArrayLike) -> NDArray[np.float64]:
+def lift(phase: ArrayLike) -> Floats:
     """Rise from the ground to :data:`LIFT_HEIGHT` at half the swing and come down again, never below it.
 
     Zero velocity and acceleration at both ends: ``64 s³ (1 - s)³`` of the height at the phase s of the swing,
@@ -86,7 +88,7 @@ def roll_of_step(angle: float, double: int, single: int) -> FootRoll:
     return FootRoll(before, swing, after)
 
 
-def pivot_of(pitch: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def pivot_of(pitch: ArrayLike) -> tuple[Floats, Floats]:
     """Find how far forward and up in m a sole's origin moves when it pitches about the edge that stays down.
 
     The pitch is in rad, positive toe down, of any shape.

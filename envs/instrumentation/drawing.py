@@ -8,13 +8,13 @@ from xml.sax.saxutils import quoteattr
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.geometry import below
 from surefoot.envs.instrumentation.robot import MeasuredRobot, joint_name
 from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names, nao_model
 
-Placed = tuple[str, NDArray[np.float64], NDArray[np.float64]]
+Placed = tuple[str, Floats, Floats]
 """A site's body, its place there in m and its quaternion."""
 
 _JOINTS = {
@@ -27,11 +27,11 @@ _JOINTS = {
 class BelowSensor(NamedTuple):
     """The mass below a sensor of each foot, (left, right), in the sole frames."""
 
-    position_sensor_sole: NDArray[np.float64]  # origins of the sensors' frames in m, shape (2, 3)
-    R_sole_sensor: NDArray[np.float64]
+    position_sensor_sole: Floats  # origins of the sensors' frames in m, shape (2, 3)
+    R_sole_sensor: Floats
     """Rotations from the sensors' frames to the sole frames, shape (2, 3, 3)."""
-    mass: NDArray[np.float64]  # mass below in kg, shape (2,)
-    com_sole: NDArray[np.float64]  # its centre of mass in m, shape (2, 3)
+    mass: Floats  # mass below in kg, shape (2,)
+    com_sole: Floats  # its centre of mass in m, shape (2, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +65,11 @@ class RobotDrawing:
     feet: tuple[str, ...]
     sides: tuple[str, ...]
     joint_names: tuple[str, ...]
-    position_cell_sole: NDArray[np.float64] | None
+    position_cell_sole: Floats | None
     flaw: str
     below_cells: BelowSensor | None
     below_ankle: BelowSensor
-    touching: NDArray[np.float64]
+    touching: Floats
 
     @functools.cached_property
     def weight(self) -> float:
@@ -159,7 +159,7 @@ def draw_robot(
     )
 
 
-def _touching(layout: MeasuredRobot) -> NDArray[np.float64]:
+def _touching(layout: MeasuredRobot) -> Floats:
     """Return the parts of each foot that may touch, (F, n, 4); feet of fewer parts repeat their last one."""
     parts = [
         foot.round if cells is None else np.pad(cells, ((0, 0), (0, 2)))
@@ -223,14 +223,14 @@ def _plain(name: str) -> str:
     return f" name={quoteattr(name)}" if name else ""
 
 
-def _attributes(**values: NDArray[np.float64] | np.float64) -> str:
+def _attributes(**values: Floats | np.float64) -> str:
     parts = {name: " ".join(map(repr, np.ravel(value).tolist())) for name, value in values.items()}
     return "".join(f' {name}="{text}"' for name, text in parts.items())
 
 
-def _physical(inertia: NDArray[np.float64]) -> NDArray[np.float64]:
+def _physical(inertia: Floats) -> Floats:
     """Keep rounding from breaking the triangle inequality, which MuJoCo's compiler insists on."""
-    physical: NDArray[np.float64] = np.minimum(inertia, np.roll(inertia, 1) + np.roll(inertia, 2))
+    physical: Floats = np.minimum(inertia, np.roll(inertia, 1) + np.roll(inertia, 2))
     return physical
 
 

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.geometry import below, bodies_that_touch, colliding, lowest_points
 
 STANDING: Final = ("home", "stand", "standing")
@@ -132,7 +133,7 @@ def _guess(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
     )
 
 
-def _candidates(model: mujoco.MjModel, data: mujoco.MjData, height: NDArray[np.float64]) -> list[int]:
+def _candidates(model: mujoco.MjModel, data: mujoco.MjData, height: Floats) -> list[int]:
     """List the bodies that may be feet, each with all that hangs on it.
 
     ``height`` is the lowest point of each body that can touch in m, inf of others, shape (nbody,).
@@ -157,9 +158,7 @@ def _candidates(model: mujoco.MjModel, data: mujoco.MjData, height: NDArray[np.f
     return sorted(foot for foot in feet if not any(below(model, other)[foot] for other in feet - {foot}))
 
 
-def _check_weight(
-    model: mujoco.MjModel, data: mujoco.MjData, feet: tuple[int, ...], height: NDArray[np.float64]
-) -> None:
+def _check_weight(model: mujoco.MjModel, data: mujoco.MjData, feet: tuple[int, ...], height: Floats) -> None:
     """Raise ValueError if a robot that is put on the ground with its joints held does not rest on its feet.
 
     Nothing is checked where nothing carries it: without a floor, or of a robot that cannot sink.
@@ -214,7 +213,7 @@ def _vertical_joint(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> in
 
 
 def _floor(
-    model: mujoco.MjModel, data: mujoco.MjData, robot: NDArray[np.bool_], place: NDArray[np.float64]
+    model: mujoco.MjModel, data: mujoco.MjData, robot: NDArray[np.bool_], place: Floats
 ) -> float | None:
     """Find the height in m of the highest fixed horizontal plane, or of another thing below a place."""
     fixed = colliding(model) & (model.body_weldid[model.geom_bodyid] == 0) & ~robot[model.geom_bodyid]
@@ -233,7 +232,7 @@ def _doubt(
     data: mujoco.MjData,
     pair: list[int],
     ordered: tuple[int, ...],
-    height: NDArray[np.float64],
+    height: Floats,
     near: float,
 ) -> str:
     """Return why the lowest leaves are not the two feet of a robot that stands, and the way out."""

@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
+from surefoot.arrays import Floats
+
 FACE_SLOPE: Final = float(np.cos(np.radians(30.0)))
 """Cosine of the largest angle between a sole and the ground in the pose in which the robot stands."""
 
@@ -45,19 +47,19 @@ class FootGeometry:
     """One foot, measured."""
 
     body: str  # its body's name
-    position_ankle_foot: NDArray[np.float64]
+    position_ankle_foot: Floats
     """Where the ankle's joint sits in the body's frame in m, shape (3,)."""
-    position_sole_foot: NDArray[np.float64]  # origin of the sole's frame in the body's in m, shape (3,)
-    R_foot_sole: NDArray[np.float64]  # rotation from the sole's frame to the body's, shape (3, 3)
-    polygon: NDArray[np.float64]
+    position_sole_foot: Floats  # origin of the sole's frame in the body's in m, shape (3,)
+    R_foot_sole: Floats  # rotation from the sole's frame to the body's, shape (3, 3)
+    polygon: Floats
     """Corners of the support polygon in the sole's frame in m, counter-clockwise, shape (n, 2); n = 0 for a
     foot with a flaw."""
     flaw: str = ""  # why the foot has no polygon, or empty
-    round: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
+    round: Floats = field(default_factory=lambda: np.zeros((0, 4)))
     """Of a foot with a flaw, centres in the sole's frame and radii in m of the parts that may touch: spheres,
     ends of capsules, points of radius 0; shape (m, 4), and m = 0 for others."""
 
-    def layout(self, margin: float) -> NDArray[np.float64]:
+    def layout(self, margin: float) -> Floats:
         """Place four cells in the corners of the largest rectangle inside the polygon, drawn in by a margin.
 
         Places are front-left, front-right, rear-left, rear-right in the sole's frame in m, (4, 2). A foot
@@ -142,7 +144,7 @@ def bodies_that_touch(model: mujoco.MjModel) -> list[str]:
     return [model.body(body).name for body in bodies]
 
 
-def lowest_points(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
+def lowest_points(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
     """Find the lowest point of each body that can touch in m, shape (nbody,); inf of one that cannot.
 
     Of geoms without a shape of their own, such as planes, it is the centre.
@@ -169,7 +171,7 @@ def below(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
     return hangs
 
 
-def check_layout(body: str, cells: ArrayLike) -> NDArray[np.float64]:
+def check_layout(body: str, cells: ArrayLike) -> Floats:
     """Return four places of cells, or raise ValueError if they are not four or not finite."""
     places = np.asarray(cells, dtype=np.float64)
     if places.shape != (4, 2) or not np.isfinite(places).all():
@@ -180,9 +182,7 @@ def check_layout(body: str, cells: ArrayLike) -> NDArray[np.float64]:
     return places
 
 
-def _bearing_points(
-    model: mujoco.MjModel, data: mujoco.MjData, geom: int, up: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _bearing_points(model: mujoco.MjModel, data: mujoco.MjData, geom: int, up: Floats) -> Floats:
     """List the points of a geom in the world that can bear on a floor of a normal, shape (n, 3)."""
     kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
     R = data.geom_xmat[geom].reshape(3, 3)
@@ -213,17 +213,13 @@ def _bearing_points(
             "measured; a foot is made of boxes, meshes, capsules, cylinders, "
             "ellipsoids or spheres."
         )
-    points: NDArray[np.float64] = data.geom_xpos[geom] + local @ R.T - drop
+    points: Floats = data.geom_xpos[geom] + local @ R.T - drop
     return points
 
 
 def _round_parts(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    geoms: NDArray[np.intp],
-    origin: NDArray[np.float64],
-    R_world_sole: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.intp], origin: Floats, R_world_sole: Floats
+) -> Floats:
     """Return centres and radii of the parts that may touch, of spheres and capsules if any, shape (m, 4)."""
     round_kinds = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
     radius = np.where(np.isin(model.geom_type[geoms], round_kinds), model.geom_size[geoms, 0], 0.0)
@@ -236,7 +232,7 @@ def _round_parts(
     return np.concatenate(parts)
 
 
-def _sole_normal(points: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _sole_normal(points: Floats, up: Floats) -> Floats | None:
     """Find the upward normal of the largest face that looks down; None if there is no area."""
     across = points - np.outer(points @ up, up)
     if _spread(across) < THINNEST:
@@ -257,14 +253,14 @@ def _sole_normal(points: NDArray[np.float64], up: NDArray[np.float64]) -> NDArra
     return np.asarray(normal / np.linalg.norm(normal))
 
 
-def _spread(points: NDArray[np.float64]) -> float:
+def _spread(points: Floats) -> float:
     """Return how far points reach across their longest direction, in m."""
     centred = points - points.mean(axis=0)
     across = centred @ np.linalg.svd(centred)[2][1]
     return float(np.ptp(across))
 
 
-def _largest_rectangle(polygon: NDArray[np.float64]) -> tuple[float, float, float, float]:
+def _largest_rectangle(polygon: Floats) -> tuple[float, float, float, float]:
     """Find the largest rectangle along the axes in a convex polygon: rear, front, right, left in m."""
     x = np.unique(np.concatenate([polygon[:, 0], np.linspace(polygon[:, 0].min(), polygon[:, 0].max(), 101)]))
     following = np.roll(polygon, -1, axis=0)

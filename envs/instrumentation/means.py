@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.command import rotate_level
 from surefoot.envs.instrumentation.robot import RowLayout
 from surefoot.envs.instrumentation.truth import centres
 from surefoot.native import ENVS, Call, Library, PointerRecord
-
-Array = NDArray[np.float64]
 
 
 def _add_up(substeps: Sequence[Sequence[float]]) -> tuple[list[float], float, float]:
@@ -44,7 +43,7 @@ def _add_up(substeps: Sequence[Sequence[float]]) -> tuple[list[float], float, fl
     return [a, b, c, d, e, f], x, y
 
 
-def mean_truth(rows: Array, layout: RowLayout) -> dict[str, NDArray[Any]]:
+def mean_truth(rows: Floats, layout: RowLayout) -> dict[str, NDArray[Any]]:
     """Compute the truth of a control step, (S, columns), for ``info``: means of its substeps, by ideal cells.
 
     Returns:
@@ -94,7 +93,7 @@ class MeanTruth:
         # Addresses are of no use elsewhere.
         return MeanTruth, (self._layout,)
 
-    def __call__(self, rows: Array, threads: int = 1) -> dict[str, NDArray[Any]]:
+    def __call__(self, rows: Floats, threads: int = 1) -> dict[str, NDArray[Any]]:
         """Compute the truth of a control step, (S, columns), or of many robots by threads, (N, S, ...)."""
         if rows.shape not in self._calls:
             library = ENVS.installed()
@@ -109,7 +108,7 @@ class MeanTruth:
             truth["force_cell"] = self._layout.force_cell(results["row"], wrench)
         return truth
 
-    def _of_each(self, rows: Array) -> dict[str, NDArray[Any]]:
+    def _of_each(self, rows: Floats) -> dict[str, NDArray[Any]]:
         each = [mean_truth(own, self._layout) for own in rows]
         return {name: np.array([truth[name] for truth in each]) for name in each[0]}
 

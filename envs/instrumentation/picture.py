@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.drawing import RobotDrawing
 from surefoot.envs.instrumentation.env import InstrumentedEnv
 from surefoot.envs.instrumentation.feet import pose_name, standing_pose
@@ -85,9 +86,7 @@ class FeetDrawing:
         with atomic_path(path) as part:
             Image.fromarray(np.concatenate(pictures, axis=1)).save(part)
 
-    def _picture(
-        self, renderer: Any, lookat: NDArray[np.float64], distance: float, elevation: float
-    ) -> NDArray[np.uint8]:
+    def _picture(self, renderer: Any, lookat: Floats, distance: float, elevation: float) -> NDArray[np.uint8]:
         camera, option = mujoco.MjvCamera(), mujoco.MjvOption()
         camera.lookat[:], camera.distance = lookat, distance
         camera.azimuth, camera.elevation = 145.0, elevation
@@ -108,14 +107,14 @@ class FeetDrawing:
         picture: NDArray[np.uint8] = renderer.render()
         return picture
 
-    def _corners(self, i: int) -> NDArray[np.float64]:
+    def _corners(self, i: int) -> Floats:
         """Return the corners of a sole in the world in m, or its origin if it has no area, shape (n, 3)."""
         origin, R_world_sole = self._sole(i)
         polygon = self.layout.feet[i].polygon
-        corners: NDArray[np.float64] = origin + np.pad(polygon, ((0, 0), (0, 1))) @ R_world_sole.T
+        corners: Floats = origin + np.pad(polygon, ((0, 0), (0, 1))) @ R_world_sole.T
         return corners if len(polygon) else origin[None]
 
-    def _sole(self, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _sole(self, i: int) -> tuple[Floats, Floats]:
         """Return a sole's origin in the world in m and its axes."""
         foot = self.layout.feet[i]
         body = self._data.body(foot.body)
@@ -123,9 +122,7 @@ class FeetDrawing:
         return body.xpos + R_world_foot @ foot.position_sole_foot, R_world_foot @ foot.R_foot_sole
 
 
-def _model(
-    name: str, feet: Sequence[str] | None, soles: bool
-) -> tuple[mujoco.MjModel, NDArray[np.float64] | None]:
+def _model(name: str, feet: Sequence[str] | None, soles: bool) -> tuple[mujoco.MjModel, Floats | None]:
     """Compile a robot, or take that of an environment, with its own places of cells if it has them."""
     file = Path(name)
     if name in ROBOTS or file.is_file() or file.suffix == ".xml":
@@ -145,12 +142,12 @@ def _model(
     return env.get_wrapper_attr("model"), drawing.position_cell_sole
 
 
-def _line(scene: Any, start: NDArray[np.float64], end: NDArray[np.float64], rgba: Sequence[float]) -> None:
+def _line(scene: Any, start: Floats, end: Floats, rgba: Sequence[float]) -> None:
     geom = _new_geom(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, rgba)
     mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.002, start, end)
 
 
-def _ball(scene: Any, place: NDArray[np.float64], rgba: Sequence[float]) -> None:
+def _ball(scene: Any, place: Floats, rgba: Sequence[float]) -> None:
     _new_geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, rgba).pos[:] = place
 
 

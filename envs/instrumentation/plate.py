@@ -13,9 +13,9 @@ be equally stiff.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from surefoot.arrays import Floats
 
 
 class SolePlate:
@@ -57,12 +57,12 @@ class SolePlate:
             raise ValueError(
                 f"The cells of a sole plate lie on one line, so that it would tip over: {position.tolist()}."
             )
-        self.load_of_cells: Array = np.stack([np.ones(4), y, -x])
+        self.load_of_cells: Floats = np.stack([np.ones(4), y, -x])
         spread = k[:, None] * self.load_of_cells.T
-        self.share: Array = spread @ np.linalg.inv(self.load_of_cells @ spread)
+        self.share: Floats = spread @ np.linalg.inv(self.load_of_cells @ spread)
         null = np.linalg.svd(self.load_of_cells)[2][3]
         constraint = np.sign(null[0]) * null / k
-        self.constraint: Array = constraint / np.linalg.norm(constraint)
+        self.constraint: Floats = constraint / np.linalg.norm(constraint)
         turn = np.concatenate([y.mean() - y, x - x.mean()]) / (4.0 * (x.var() + y.var()))
         even = np.repeat(np.eye(2), 4, axis=0) / 4.0
-        self.across: Array = np.column_stack([even + np.outer(turn, [y.mean(), -x.mean()]), turn])
+        self.across: Floats = np.column_stack([even + np.outer(turn, [y.mean(), -x.mean()]), turn])

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.drawing import draw_robot
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.geometry import below
@@ -15,8 +16,6 @@ from surefoot.envs.instrumentation.robot import TORSO, TORSO_WIDTH, FootColumns,
 from surefoot.envs.instrumentation.spec import Instrumentation, find_imu
 from surefoot.envs.instrumentation.swap import sensors_off
 from surefoot.envs.instrumentation.truth import FeetTruth, cross
-
-Array = NDArray[np.float64]
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
@@ -31,11 +30,7 @@ class SensorReader:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        instrumentation: Instrumentation,
-        samples: int,
+        self, model: mujoco.MjModel, data: mujoco.MjData, instrumentation: Instrumentation, samples: int
     ) -> None:
         columns = instrumentation.columns(model)
         first = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, instrumentation.first_sensor)
@@ -100,7 +95,7 @@ class SensorReader:
             return self._after_other_step(rows, round((now - before if now > before else now) / h))
         return FeetTruth(rows, self._layout)
 
-    def _after_other_step(self, rows: Array, fresh: int) -> FeetTruth:
+    def _after_other_step(self, rows: Floats, fresh: int) -> FeetTruth:
         """Read a control step of another number of substeps: of fewer ones the first stands for those before.
 
         Time goes back where MuJoCo resets a simulation that has blown up.
@@ -187,7 +182,7 @@ class FeetReader:
         """Do nothing: there is nothing in the model that could be seen."""
         return nullcontext()
 
-    def row(self) -> Array:
+    def row(self) -> Floats:
         """Compute the sensors' measurements in the present state, shape (27 F + 28 + J,)."""
         model, own = self._model, self._data
         mujoco.mj_getState(model, self._watched, self._state, _STATE)
@@ -207,7 +202,7 @@ class FeetReader:
         row[-1] = own.time
         return row
 
-    def _read_foot(self, i: int, row: Array) -> None:
+    def _read_foot(self, i: int, row: Floats) -> None:
         """Read the ankle and the sole's frame of a foot."""
         own, body, foot = self._data, self._feet[i], self.layout.feet[i]
         R_world_foot = own.xmat[body].reshape(3, 3)
@@ -221,7 +216,7 @@ class FeetReader:
         )
         row[FootColumns.axes_sole] = (R_world_foot @ foot.R_foot_sole).T.ravel()
 
-    def _add_contacts(self, feet: Array) -> None:
+    def _add_contacts(self, feet: Floats) -> None:
         """Add the feet's contacts, as forces of the feet at the soles' origins."""
         own, local = self._data, np.zeros(6)
         geoms = own.contact.geom
@@ -235,7 +230,7 @@ class FeetReader:
                 arm = own.contact.pos[k] - foot[FootColumns.position_sole]
                 foot[FootColumns.torque] -= side * (torque + cross(arm, force))
 
-    def _read_torso(self, row: Array) -> None:
+    def _read_torso(self, row: Floats) -> None:
         """Read the torso's frame, the whole robot's motion and the IMU."""
         model, own, torso, spatial = self._model, self._data, self._torso, np.zeros(6)
         row[TORSO["position_torso"]] = own.xpos[torso]

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.feet import find_feet
 from surefoot.envs.instrumentation.geometry import FootGeometry, below, check_layout, measure_foot
 from surefoot.envs.instrumentation.plate import SolePlate
@@ -79,7 +80,7 @@ class RowColumns(NamedTuple):
     time: int  # the simulated time
 
 
-CellMap = tuple[NDArray[np.float64], NDArray[np.float64]]
+CellMap = tuple[Floats, Floats]
 """Factors from data of F feet to the forces of 4 F cells, shape (n, 4 F), and N to add, shape (4 F,)."""
 
 
@@ -96,14 +97,14 @@ class RowLayout:
     flat: tuple[bool, ...]  # which feet have an area, (F)
     flaw: str  # why not all feet have cells, or empty
     cell_map: CellMap  # from the cells' data to their forces
-    shear_map: NDArray[np.float64]
+    shear_map: Floats
     """Factors from these data to the cells' horizontal forces, along x of all, then y, shape (n, 8 F)."""
 
-    def force_cell(self, row: NDArray[np.float64], wrench: NDArray[np.float64]) -> NDArray[np.float64]:
+    def force_cell(self, row: Floats, wrench: Floats) -> Floats:
         """Return forces of the cells in N, (..., 4 F), of a row and of wrenches at the soles, (..., 6 F)."""
         (factors, added), sensed = self.cell_map, self.columns.sensed
         data = wrench if sensed.soles else row[..., sensed.cells : sensed.cells + len(factors)]
-        force: NDArray[np.float64] = (data[..., None, :] @ factors)[..., 0, :]
+        force: Floats = (data[..., None, :] @ factors)[..., 0, :]
         return force if sensed.soles else force + added
 
     def level(self, row: Sequence[float]) -> tuple[float, float, float]:
@@ -125,7 +126,7 @@ class RowLayout:
         return [getattr(self.columns, name)[:, 0].tolist() for name in names]
 
 
-def share_loads(plates: Sequence[SolePlate | None]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def share_loads(plates: Sequence[SolePlate | None]) -> tuple[Floats, Floats]:
     """Return all cells' forces by wrenches at the soles: upwards, (6 F, 4 F); along x, then y, (6 F, 8 F).
 
     Cells of a foot without a plate feel nothing.
@@ -145,7 +146,7 @@ class MeasuredRobot:
     """A robot with F feet and J encoders, measured."""
 
     feet: tuple[FootGeometry, ...]  # geometry of the feet
-    cells: tuple[NDArray[np.float64] | None, ...]
+    cells: tuple[Floats | None, ...]
     """Places of each foot's cells in its sole's frame in m, shape (4, 2); None for one without area."""
     plates: tuple[SolePlate | None, ...]  # how these cells share a load
     torso: str  # name of the body that carries the robot
@@ -244,13 +245,13 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
 
 def _places(
     feet: tuple[FootGeometry, ...], cells: Mapping[str, ArrayLike], margin: float
-) -> tuple[NDArray[np.float64] | None, ...]:
+) -> tuple[Floats | None, ...]:
     """Return where the cells lie."""
     names = [foot.body for foot in feet]
     unknown = sorted(set(cells) - set(names))
     if unknown:
         raise ValueError(f"'cells' names {unknown}, which are no feet here; the feet are {names}.")
-    places: list[NDArray[np.float64] | None] = []
+    places: list[Floats | None] = []
     for foot in feet:
         if foot.body in cells and foot.flaw:
             raise ValueError(foot.flaw)

@@ -10,8 +10,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_robot
 from surefoot.envs.instrumentation.feet import standing_pose
 from surefoot.envs.instrumentation.geometry import FootGeometry
@@ -42,7 +43,7 @@ class Instrumentation:
         return self.layout.feet
 
     @property
-    def cells(self) -> tuple[NDArray[np.float64] | None, ...]:
+    def cells(self) -> tuple[Floats | None, ...]:
         """Places of each foot's cells in its sole's frame in m, shape (4, 2); None for one without area."""
         return self.layout.cells
 
@@ -68,7 +69,7 @@ class Instrumentation:
         """
         return self.read_rows(model, data.sensordata)
 
-    def read_rows(self, model: mujoco.MjModel, sensordata: NDArray[np.float64]) -> FeetTruth:
+    def read_rows(self, model: mujoco.MjModel, sensordata: Floats) -> FeetTruth:
         """Read sensor data that was recorded, shape (..., nsensordata)."""
         return FeetTruth(sensordata[..., self.columns(model)].copy(), self.layout.rows)
 

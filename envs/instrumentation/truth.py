@@ -14,11 +14,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.robot import RowLayout
-
-Array = NDArray[np.float64]
 
 CONTACT_FORCE = 5.0  # vertical force in N above which a centre of pressure is defined
 
@@ -56,11 +54,11 @@ class FeetTruth:
     inertial = _Part("Accelerometer and gyroscope, shape (..., 6).")
     joint_position = _Part("Angles of the hinge joints in rad, shape (..., J).")
 
-    def __init__(self, rows: Array, layout: RowLayout) -> None:
+    def __init__(self, rows: Floats, layout: RowLayout) -> None:
         self.rows, self.layout, self.columns = rows, layout, layout.columns
 
     @property
-    def wrench_ankle(self) -> Array:
+    def wrench_ankle(self) -> Floats:
         """Wrenches that the feet pass up at and in the ankle sensors' frames in N and N m, shape (..., F, 6).
 
         The ground's load on the foot, and gravity less inertia of all that hangs below the sensor
@@ -69,12 +67,12 @@ class FeetTruth:
         return -self.rows.take(self.columns.ankle, axis=-1)
 
     @property
-    def force_world(self) -> Array:
+    def force_world(self) -> Floats:
         """Forces of everything that touches a foot on it, in the world in N, shape (..., F, 3)."""
         return self._ground[..., :3]
 
     @cached_property
-    def wrench_sole(self) -> Array:
+    def wrench_sole(self) -> Floats:
         """Wrenches of the ground on the robot at and in the sole frames in N and N m, shape (..., F, 6).
 
         Whatever else touches a foot, such as the other foot, counts as ground.
@@ -85,24 +83,24 @@ class FeetTruth:
         return (world @ self.R_world_sole).reshape(*ground.shape[:-1], 6)
 
     @property
-    def _ground(self) -> Array:
+    def _ground(self) -> Floats:
         """The ground's load on the feet: force, torque and the place at which they act, shape (..., F, 9)."""
-        ground: Array = self.rows.take(self.columns.ground, axis=-1)
+        ground: Floats = self.rows.take(self.columns.ground, axis=-1)
         ground[..., :6] *= self.columns.up
         return ground
 
     @property
-    def position_sole(self) -> Array:
+    def position_sole(self) -> Floats:
         """Origins of the sole frames in the world in m, shape (..., F, 3)."""
         return self.rows.take(self.columns.position_sole, axis=-1)
 
     @property
-    def R_world_sole(self) -> Array:  # noqa: N802
+    def R_world_sole(self) -> Floats:  # noqa: N802
         """Rotations from the sole frames to the world, shape (..., F, 3, 3)."""
         return _rotation(self.rows.take(self.columns.axes_sole, axis=-1))
 
     @property
-    def cell_data(self) -> Array:
+    def cell_data(self) -> Floats:
         """The data of which the cells' forces are made, see :class:`RowLayout`, shape (..., n).
 
         A cell is pulled where the ground pushes outside the cells.
@@ -118,20 +116,20 @@ class FeetTruth:
         return wrench.reshape(*wrench.shape[:-2], -1)
 
     @cached_property
-    def force_cell(self) -> Array:
+    def force_cell(self) -> Floats:
         """Forces of the load cells in N, foot by foot FL, FR, RL, RR, shape (..., 4 F)."""
         factors, added = self.layout.cell_map
-        force: Array = self.cell_data @ factors + added
+        force: Floats = self.cell_data @ factors + added
         return force
 
     @property
-    def shear_cell(self) -> Array:
+    def shear_cell(self) -> Floats:
         """Horizontal forces of the load cells in N, along x of all, and then along y, shape (..., 8 F)."""
-        shear: Array = self.cell_data @ self.layout.shear_map
+        shear: Floats = self.cell_data @ self.layout.shear_map
         return shear
 
     @property
-    def cop_sole(self) -> Array:
+    def cop_sole(self) -> Floats:
         """Centres of pressure in the sole frames in m, shape (..., F, 2); NaN at no more than 5 N.
 
         Raises:
@@ -148,15 +146,15 @@ class FeetTruth:
             raise ValueError(self.layout.flaw)
 
     @property
-    def R_world_torso(self) -> Array:  # noqa: N802
+    def R_world_torso(self) -> Floats:  # noqa: N802
         """Rotation from the torso's frame to the world, shape (..., 3, 3)."""
         return _rotation(self.rows[..., self.columns.axes_torso])
 
-    def vgrf(self) -> Array:
+    def vgrf(self) -> Floats:
         """Vertical ground reaction forces in the world at the last row in N, shape (..., F)."""
         return self.contacts()[..., 2] + 0.0
 
-    def cop_world(self) -> Array:
+    def cop_world(self) -> Floats:
         """Centre of pressure of all feet together at the last row in the world in m, shape (..., 2).
 
         NaN where all feet together bear no more than 5 N.
@@ -168,7 +166,7 @@ class FeetTruth:
         load = np.where(load > CONTACT_FORCE, load, np.nan)
         return np.stack([-moment[..., 1] / load, moment[..., 0] / load], axis=-1)
 
-    def contacts(self) -> Array:
+    def contacts(self) -> Floats:
         """The ground's load on each foot at the last row, a single one or the last substep's, (..., F, 9).
 
         Force in N, torque in N m and the place in m at which they act, in the world.
@@ -229,12 +227,12 @@ def centres(
     return found, valid
 
 
-def _rotation(axes: Array) -> Array:
+def _rotation(axes: Floats) -> Floats:
     """Turn three axes in a row, shape (..., 9), into a rotation with these columns, shape (..., 3, 3)."""
     return axes.reshape(*axes.shape[:-1], 3, 3).swapaxes(-1, -2)
 
 
-def cross(a: Array, b: Array) -> Array:
+def cross(a: Floats, b: Floats) -> Floats:
     """Multiply vectors, shape (..., 3); np.cross takes several times as long for a few robots' rows."""
     x, y, z = (a[..., i] * b[..., j] - a[..., j] * b[..., i] for i, j in ((1, 2), (2, 0), (0, 1)))
     return np.stack([x, y, z], axis=-1)

@@ -1,7 +1,8 @@
 """How the hip of the in-situ rig follows commanded speeds: gently, and never beyond its range."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from surefoot.arrays import Floats
 
 
 class HipDrive:
@@ -22,25 +23,17 @@ class HipDrive:
         speed: How fast the target moves now in rad/s, shape (J,).
     """
 
-    def __init__(
-        self,
-        low: NDArray[np.float64],
-        high: NDArray[np.float64],
-        *,
-        acceleration: float,
-        step: float,
-        substeps: int,
-    ) -> None:
+    def __init__(self, low: Floats, high: Floats, *, acceleration: float, step: float, substeps: int) -> None:
         self.target, self.speed = 0.5 * (low + high), np.zeros(len(low))
         self._low, self._high = low, high
         self._change, self._step = acceleration * step, step
         self._fraction = np.arange(1, substeps + 1)[:, None] / substeps
 
-    def rest(self, target: NDArray[np.float64]) -> None:
+    def rest(self, target: Floats) -> None:
         """Stand still at ``target``."""
         self.target, self.speed = target.copy(), np.zeros(len(target))
 
-    def follow(self, wanted: NDArray[np.float64]) -> NDArray[np.float64]:
+    def follow(self, wanted: Floats) -> Floats:
         """Approach wanted speeds in rad/s, (J,), for a step by targets in rad, (substeps, J)."""
         last = self.speed
         self.speed = self._next_speed(wanted)
@@ -50,18 +43,18 @@ class HipDrive:
         self.target = targets[-1]
         return targets
 
-    def ahead(self, time: float) -> NDArray[np.float64]:
+    def ahead(self, time: float) -> Floats:
         """Where the target will be in ``time`` s, if its speed stays."""
         return np.asarray(np.clip(self.target + self.speed * time, self._low, self._high))
 
-    def _next_speed(self, wanted: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _next_speed(self, wanted: Floats) -> Floats:
         speed = np.clip(wanted, self.speed - self._change, self.speed + self._change)
         reached = self.target + 0.5 * self._step * self.speed
         return np.asarray(
             np.clip(speed, -self._stopping(reached - self._low), self._stopping(self._high - reached))
         )
 
-    def _stopping(self, room: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _stopping(self, room: Floats) -> Floats:
         """Solve v dt / 2 + v^2 dt / (2 change) = room in rad for the speed v that can still be stopped."""
         change = self._change
         room = np.maximum(room, 0.0)

@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.leg_rig.drive import HipDrive
 from surefoot.envs.leg_rig.spec import (
     ADDED_MASSES,
@@ -149,7 +150,7 @@ class LegRigEnv(DrawnEnv):
         bound = np.array([1.0] * 2 + [5.0] * 2 + [50.0] * 3 + [10.0] * 3, dtype=np.float32)
         self.observation_space = spaces.Box(-bound, bound, dtype=np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (len(HIP_JOINTS),), dtype=np.float32)
-        self._covariance: NDArray[np.float64] = np.eye(4)
+        self._covariance: Floats = np.eye(4)
         self._limbs: list[LimbBody] = []
 
     @property

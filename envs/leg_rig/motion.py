@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from math import gcd
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.leg_rig.spec import HIP_RANGE
 from surefoot.envs.options import positive
 
@@ -21,10 +21,10 @@ _STRAIGHTNESS = 0.7  # from 0, a sine, to 1, a triangle: how sharply the joints 
 class HipMotion:
     """A trajectory of the hip; columns are front-back (positive forward) and lateral (positive outward)."""
 
-    time: NDArray[np.float64]  # of the n samples in s, shape (n,)
-    angle: NDArray[np.float64]  # in rad, shape (n, 2)
-    rate: NDArray[np.float64]  # its derivative in rad/s, shape (n, 2)
-    acceleration: NDArray[np.float64]  # its second derivative in rad/s^2, shape (n, 2)
+    time: Floats  # of the n samples in s, shape (n,)
+    angle: Floats  # in rad, shape (n, 2)
+    rate: Floats  # its derivative in rad/s, shape (n, 2)
+    acceleration: Floats  # its second derivative in rad/s^2, shape (n, 2)
 
     def at_rest(self) -> "HipMotion":
         """Visit the same postures, standing still in each."""
@@ -130,7 +130,7 @@ def swing(
     return HipMotion(time, angle, speed, acceleration)
 
 
-def _half_ranges(range_deg: tuple[float, float] | None) -> NDArray[np.float64]:
+def _half_ranges(range_deg: tuple[float, float] | None) -> Floats:
     half = np.asarray(HIP_RANGE if range_deg is None else np.radians(range_deg), dtype=np.float64) / 2.0
     if half.shape != (2,) or not np.all((half >= 0.0) & (half <= HIP_RANGE / 2.0 + 1e-9)) or not half.any():
         raise ValueError(
@@ -140,25 +140,18 @@ def _half_ranges(range_deg: tuple[float, float] | None) -> NDArray[np.float64]:
     return half
 
 
-def _samples(duration: float, rate: float) -> NDArray[np.float64]:
+def _samples(duration: float, rate: float) -> Floats:
     return np.asarray(np.arange(round(positive("duration", duration) * positive("rate", rate))) / rate)
 
 
-def _periods(amplitude: NDArray[np.float64], speed_deg: float) -> NDArray[np.float64]:
+def _periods(amplitude: Floats, speed_deg: float) -> Floats:
     """Return how long in s one swing of each joint takes at that speed."""
     top_speed = np.radians(positive("speed_deg", speed_deg))
-    period: NDArray[np.float64] = (
-        2.0 * np.pi * amplitude * _STRAIGHTNESS / np.arcsin(_STRAIGHTNESS) / top_speed
-    )
+    period: Floats = 2.0 * np.pi * amplitude * _STRAIGHTNESS / np.arcsin(_STRAIGHTNESS) / top_speed
     return period
 
 
-def _sines(
-    time: NDArray[np.float64],
-    amplitude: NDArray[np.float64],
-    frequency: NDArray[np.float64],
-    phase: NDArray[np.float64],
-) -> HipMotion:
+def _sines(time: Floats, amplitude: Floats, frequency: Floats, phase: Floats) -> HipMotion:
     """Evaluate amplitude cos(frequency t + phase), one column a joint, with its derivatives."""
     argument = time[:, None] * frequency + phase
     return HipMotion(
@@ -169,12 +162,7 @@ def _sines(
     )
 
 
-def _smooth_triangles(
-    time: NDArray[np.float64],
-    amplitude: NDArray[np.float64],
-    frequency: NDArray[np.float64],
-    phase: NDArray[np.float64],
-) -> HipMotion:
+def _smooth_triangles(time: Floats, amplitude: Floats, frequency: Floats, phase: Floats) -> HipMotion:
     """Evaluate amplitude asin(k cos(frequency t + phase)) / asin(k), k = _STRAIGHTNESS, and derivatives."""
     k = _STRAIGHTNESS
     argument = time[:, None] * frequency + phase

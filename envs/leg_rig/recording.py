@@ -10,8 +10,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.leg_rig.icub import load_icub_leg_spec
 from surefoot.envs.leg_rig.motion import RIG_SPEED_DEG, HipMotion, raster, sweep, swing
 from surefoot.envs.leg_rig.spec import (
@@ -41,34 +41,34 @@ class RigRecording:
 
     name: str  # the set's name in messages
     configuration: int  # which masses were added, 1 to 8
-    time: NDArray[np.float64]  # in s, shape (n,)
-    hip: NDArray[np.float64]  # angles (front-back, lateral) in rad, shape (n, 2)
-    wrench_foot: NDArray[np.float64]  # at and in the foot sensor's frame in N and N m, shape (n, 6)
-    wrench_leg: NDArray[np.float64]  # at and in the leg sensor's frame in N and N m, shape (n, 6)
-    specific_force: NDArray[np.float64]  # of the IMU in m/s^2, at rest -g, shape (n, 3)
-    angular_velocity: NDArray[np.float64]  # of the IMU in rad/s, shape (n, 3)
-    angular_acceleration: NDArray[np.float64]  # of the IMU in rad/s^2, which no IMU measures, shape (n, 3)
-    position_imu_foot: NDArray[np.float64]  # of the IMU in the foot sensor's frame in m, shape (3,)
-    position_imu_leg: NDArray[np.float64]
+    time: Floats  # in s, shape (n,)
+    hip: Floats  # angles (front-back, lateral) in rad, shape (n, 2)
+    wrench_foot: Floats  # at and in the foot sensor's frame in N and N m, shape (n, 6)
+    wrench_leg: Floats  # at and in the leg sensor's frame in N and N m, shape (n, 6)
+    specific_force: Floats  # of the IMU in m/s^2, at rest -g, shape (n, 3)
+    angular_velocity: Floats  # of the IMU in rad/s, shape (n, 3)
+    angular_acceleration: Floats  # of the IMU in rad/s^2, which no IMU measures, shape (n, 3)
+    position_imu_foot: Floats  # of the IMU in the foot sensor's frame in m, shape (3,)
+    position_imu_leg: Floats
     """Of the IMU in the leg sensor's frame in m, with a straight knee, shape (3,)."""
     added_mass: float  # in kg
-    added_com_foot: NDArray[np.float64]  # its centre of mass in the foot sensor's frame in m, shape (3,)
-    added_com_leg: NDArray[np.float64]  # the same in the leg sensor's frame, with a straight knee
+    added_com_foot: Floats  # its centre of mass in the foot sensor's frame in m, shape (3,)
+    added_com_leg: Floats  # the same in the leg sensor's frame, with a straight knee
     added_inertia: float  # moment of inertia of the added mass about axes through its centre in kg m^2
     limb_foot: LimbBody  # the mass beyond the foot's sensor, nothing added
     limb_leg: LimbBody  # the mass beyond the leg's sensor, nothing added, with a straight knee
 
     @property
-    def gravity_foot(self) -> NDArray[np.float64]:
+    def gravity_foot(self) -> Floats:
         """True g - a of the foot sensor's origin in its frame in m/s^2, pointing down, shape (n, 3)."""
         return self._gravity_at(self.position_imu_foot)
 
     @property
-    def gravity_leg(self) -> NDArray[np.float64]:
+    def gravity_leg(self) -> Floats:
         """True g - a of the leg sensor's origin in its frame in m/s^2, with a straight knee, shape (n, 3)."""
         return self._gravity_at(self.position_imu_leg)
 
-    def _gravity_at(self, arm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _gravity_at(self, arm: Floats) -> Floats:
         """Move g - a from the IMU to where the arm to the IMU begins, on a rigid body."""
         omega = self.angular_velocity
         circling = np.cross(self.angular_acceleration, arm) + np.cross(omega, np.cross(omega, arm))
@@ -146,7 +146,7 @@ def _record(model: mujoco.MjModel, configuration: int, motion: HipMotion) -> Rig
     added_com_leg = rotations[1].T @ (data.body("added_mass").xipos - origins[1])
     rows = _sensor_rows(model, data, motion)
 
-    def column(name: str) -> NDArray[np.float64]:
+    def column(name: str) -> Floats:
         sensor = model.sensor(name)
         return rows[:, int(sensor.adr[0]) : int(sensor.adr[0] + sensor.dim[0])]
 
@@ -174,7 +174,7 @@ def _record(model: mujoco.MjModel, configuration: int, motion: HipMotion) -> Rig
     )
 
 
-def _sensor_rows(model: mujoco.MjModel, data: mujoco.MjData, motion: HipMotion) -> NDArray[np.float64]:
+def _sensor_rows(model: mujoco.MjModel, data: mujoco.MjData, motion: HipMotion) -> Floats:
     """Evaluate MuJoCo's sensors along the motion, shape (n, sensordata)."""
     angle, speed, acceleration = motion.angle, motion.rate, motion.acceleration
     if model.nv > len(HIP_JOINTS):
@@ -191,7 +191,7 @@ def _sensor_rows(model: mujoco.MjModel, data: mujoco.MjData, motion: HipMotion) 
     return rows
 
 
-def _knee_angles(model: mujoco.MjModel, data: mujoco.MjData, motion: HipMotion) -> NDArray[np.float64]:
+def _knee_angles(model: mujoco.MjModel, data: mujoco.MjData, motion: HipMotion) -> Floats:
     """Find the angles at which the knee's spring carries the mass below, in rad, shape (n,)."""
     stiffness = float(model.jnt_stiffness[len(HIP_JOINTS)])
     angles, knee = np.empty(len(motion.time)), 0.0

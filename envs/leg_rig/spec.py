@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.options import positive
 
 SENSORS: Final = ("foot", "leg")  # the order of the F/T sensors everywhere
@@ -25,10 +25,10 @@ SENSORS: Final = ("foot", "leg")  # the order of the F/T sensors everywhere
 HIP_JOINTS: Final = ("hip_front_back", "hip_lateral")
 """The order of the hip's joints: positive is forward, and outward (to the right)."""
 
-HIP_RANGE: Final[NDArray[np.float64]] = np.radians([70.0, 90.0])
+HIP_RANGE: Final[Floats] = np.radians([70.0, 90.0])
 """What the hip's joints sweep, from minus to plus the half of it, in rad, shape (2,)."""
 
-FOOT_IN_LEG: Final[NDArray[np.float64]] = np.array([-0.0035, 0.0, 0.3636])
+FOOT_IN_LEG: Final[Floats] = np.array([-0.0035, 0.0, 0.3636])
 """Origin of the foot's sensor in the frame of the leg's, to which its own is parallel, in m, shape (3,)."""
 
 STEEL: Final = 7850.0  # density of the added masses in kg/m^3
@@ -141,7 +141,7 @@ def place_added_mass(model: mujoco.MjModel, data: mujoco.MjData, configuration: 
     mujoco.mj_setConst(model, data)
 
 
-def read_wrenches(sensordata: NDArray[np.float64]) -> NDArray[np.float64]:
+def read_wrenches(sensordata: Floats) -> Floats:
     """Read the limb's load on the robot through both sensors off sensor data of a rig, shape (..., S).
 
     Wrenches (fx, fy, fz, tx, ty, tz) at and in the sensors' frames, (foot, leg), in N and N m, (..., 2, 6).
@@ -155,8 +155,8 @@ class LimbBody(NamedTuple):
     """The bodies beyond one F/T sensor as one, without the added mass."""
 
     mass: float  # in kg
-    mass_com: NDArray[np.float64]  # first moment m c in the sensor's frame in kg m, shape (3,)
-    inertia: NDArray[np.float64]  # about the sensor's origin in its frame in kg m^2, shape (3, 3)
+    mass_com: Floats  # first moment m c in the sensor's frame in kg m, shape (3,)
+    inertia: Floats  # about the sensor's origin in its frame in kg m^2, shape (3, 3)
 
 
 def limb_beyond(model: mujoco.MjModel, data: mujoco.MjData, sensor: str) -> LimbBody:
@@ -182,13 +182,13 @@ def limb_beyond(model: mujoco.MjModel, data: mujoco.MjData, sensor: str) -> Limb
     return LimbBody(mass, mass_com, inertia)
 
 
-def sensor_frames(data: mujoco.MjData) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def sensor_frames(data: mujoco.MjData) -> tuple[Floats, Floats]:
     """Read the frames of the (foot, leg) sensors: origins (2, 3) in m and R_world_sensor (2, 3, 3)."""
     sites = [data.site(f"{sensor}_ft") for sensor in SENSORS]
     return np.array([s.xpos for s in sites]), np.array([s.xmat.reshape(3, 3) for s in sites])
 
 
-def _in_body(com_foot: tuple[float, float, float]) -> NDArray[np.float64]:
+def _in_body(com_foot: tuple[float, float, float]) -> Floats:
     """Turn a place in the foot's sensor frame into the axes of its body, which is not rolled by pi."""
     return np.array(com_foot) * (1.0, -1.0, -1.0)
 

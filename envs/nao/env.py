@@ -5,8 +5,8 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.biped import BipedEnv, Fall
 from surefoot.envs.command import Command
 from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_nao
@@ -242,7 +242,7 @@ class NaoEnv(BipedEnv):
             self._pushes.apply(data, self.np_random)
         return self._payload.apply(tick)
 
-    def read(self, rows: NDArray[np.float64]) -> FeetTruth:
+    def read(self, rows: Floats) -> FeetTruth:
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         return FeetTruth(rows, self.channels)
 
@@ -251,7 +251,7 @@ class NaoEnv(BipedEnv):
         cop = closeness(seen.cop_error_x, seen.cop_error_y, COP_SCALE) if seen.cop_valid else 0.0
         return {"reward_alive": 1.0, "reward_cop": cop, "reward_action": seen.effort}
 
-    def place(self, command: Command, target: NDArray[np.float64]) -> None:
+    def place(self, command: Command, target: Floats) -> None:
         """Put the robot onto its footprints."""
         model, data, rng = self.model, self.data, self.np_random
         model.pair_friction[:, :2] = rng.uniform(*self._friction)

@@ -6,8 +6,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.command import Command
 from surefoot.envs.nao.env import CONTROL_STEP, NaoEnv
 from surefoot.envs.options import numbers_of, positive
@@ -65,7 +65,7 @@ class NaoStandEnv(NaoEnv):
         self._gravity = -float(self.model.opt.gravity[2])
         self._still = self._sample(0)
 
-    def _stand(self, posture: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _stand(self, posture: Floats) -> tuple[Floats, Floats]:
         """Find the centre of mass and the soles of a posture in which both soles are flat."""
         data = mujoco.MjData(self.model)
         data.qpos[7:] = posture[self._motor_of_joint]
@@ -74,9 +74,9 @@ class NaoStandEnv(NaoEnv):
         soles = np.array([data.site(f"{foot}_sole").xpos for foot in FEET])
         return data.subtree_com[self._torso] - (soles.mean(axis=0) * (1.0, 1.0, 0.0)), soles
 
-    def _lean(self, forward: Any, left: Any) -> NDArray[np.float64]:
+    def _lean(self, forward: Any, left: Any) -> Floats:
         pitch, roll = np.multiply.outer(forward / self._height, self._swaying[0]), self._swaying[1]
-        posture: NDArray[np.float64] = self._posture + pitch + np.multiply.outer(left / self._height, roll)
+        posture: Floats = self._posture + pitch + np.multiply.outer(left / self._height, roll)
         return posture
 
     def _sine(self, tick: int) -> tuple[float, float, float]:
@@ -107,7 +107,7 @@ class NaoStandEnv(NaoEnv):
         where = motion[..., 0, 0]
         return self._sway_command(where * forward, where * left, motion * sway)
 
-    def _sway_command(self, forward: Any, left: Any, motion: NDArray[np.float64]) -> Command:
+    def _sway_command(self, forward: Any, left: Any, motion: Floats) -> Command:
         """Return the command of a pelvis that is moved by so many m forward and left.
 
         The motion of the centre of mass has shape (..., 3, 3): place, velocity and acceleration.

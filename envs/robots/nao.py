@@ -12,6 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
+
 FEET = ("left", "right")  # the order of the feet everywhere
 
 CELLS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -67,7 +69,7 @@ def motor_of_joint(model: mujoco.MjModel) -> NDArray[np.intp]:
     return np.array([motors.index(shared.get(name, name)) for name in hinge_joint_names(model)])
 
 
-def cell_positions(model: mujoco.MjModel) -> NDArray[np.float64]:
+def cell_positions(model: mujoco.MjModel) -> Floats:
     """Read where cells lie in the sole frames in m, (left, right) and as :data:`CELLS`, shape (2, 4, 3)."""
     return np.array(
         [
@@ -78,10 +80,7 @@ def cell_positions(model: mujoco.MjModel) -> NDArray[np.float64]:
 
 
 def place_on_ground(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    position_sole: NDArray[np.float64],
-    yaw_sole: NDArray[np.float64],
+    model: mujoco.MjModel, data: mujoco.MjData, position_sole: Floats, yaw_sole: Floats
 ) -> None:
     """Put the upright robot, with the joints of ``data.qpos``, onto its footprints; evaluate the kinematics.
 

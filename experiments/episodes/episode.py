@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 
 import surefoot
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.policy.controllers import Controller, check_fits, controller_hash, load_controller
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.walks.score import rms

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import optimize
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.study.figures import short_label
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.statistics import Interval, mean_interval

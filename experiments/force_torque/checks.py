@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.arrays import skew
 from surefoot.experiments.force_torque.table import Samples
@@ -116,7 +117,7 @@ def _check_times(samples: Samples, notices: list[str]) -> Samples:
     return samples
 
 
-def contiguous(time: NDArray[np.float64]) -> list[slice]:
+def contiguous(time: Floats) -> list[slice]:
     """Return the parts of times between their gaps."""
     step = np.diff(time)
     edges = [0, *(np.flatnonzero(step > GAP * np.median(step)) + 1).tolist(), len(time)]

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, StrictBool, model_validator
 
+from surefoot.arrays import Floats
 from surefoot.calibration.imu import AccelerometerModel
 from surefoot.calibration.in_situ import InSituOptions
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.icub import read_matrix
 from surefoot.experiments.logs import mapping
 from surefoot.experiments.logs.settings import Number, Positive, Settings, array_of, must_be

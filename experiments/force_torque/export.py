@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 import surefoot
+from surefoot.arrays import Floats
 from surefoot.calibration.in_situ import InSituFit
 from surefoot.calibration.in_situ.fit import facts_of
 from surefoot.experiments.study.tables import flat
@@ -29,7 +29,7 @@ def write_yaml(fit: InSituFit, path: Path, **facts: Any) -> Path:
     return path
 
 
-def map_at(fit: InSituFit, temperature: float | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def map_at(fit: InSituFit, temperature: float | None) -> tuple[Floats, Floats]:
     """Return matrix and offset in readings, (6, k) and (k,), that hold at a temperature in degC."""
     if fit.temperature_coefficient is None:
         return fit.matrix, fit.offset

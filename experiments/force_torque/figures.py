@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.ticker import FuncFormatter, MaxNLocator
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.experiments.force_torque.tables import Calibrated
 from surefoot.experiments.force_torque.validation import force_ellipsoid
 from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of
@@ -25,10 +25,10 @@ _GREY = "#7f7f7f"
 class Cloud(NamedTuple):
     """Points and the gravity that belongs to them."""
 
-    points: NDArray[np.float64]  # in the axes' unit, shape (n, 3); rows that are not finite are left out
-    gravity: NDArray[np.float64]  # in m/s^2, shape (n, 3)
+    points: Floats  # in the axes' unit, shape (n, 3); rows that are not finite are left out
+    gravity: Floats  # in m/s^2, shape (n, 3)
     look: Look
-    mark: NDArray[np.float64] | None = None  # with a cross, shape (3,)
+    mark: Floats | None = None  # with a cross, shape (3,)
 
 
 class Panel(NamedTuple):

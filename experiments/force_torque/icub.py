@@ -8,8 +8,9 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.experiments.logs.table import LogError
 from surefoot.files import atomic_path
 
@@ -49,7 +50,7 @@ def write_icub_matrix(matrix: ArrayLike, full_scale: ArrayLike, path: Path) -> P
     return path
 
 
-def read_matrix(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+def read_matrix(path: Path) -> tuple[Floats, Floats | None]:
     """Read six rows of numbers, or an iCub's file: C in N and N m per count, (6, k), and full scales."""
     if not path.is_file():
         raise LogError(f"{path}: no such file; factory.file gives its path from the configuration.")
@@ -78,7 +79,7 @@ def _cells(line: str) -> list[str]:
     return line.replace(",", " ").split()
 
 
-def _parse_icub(lines: list[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _parse_icub(lines: list[str]) -> tuple[Floats, Floats]:
     """Return C and the full scales of an FTSens file; raise ValueError if it is none."""
     if len(lines) != 43:
         raise ValueError(f"got {len(lines)} lines")

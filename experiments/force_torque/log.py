@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu import AccelerometerModel, calibrate_accelerometer, gravity_from_imu
 from surefoot.calibration.in_situ import InSituFit, InSituSet, KnownLimb, calibrate_in_situ
@@ -179,7 +179,7 @@ def _read_added_mass(samples: Samples, config: InSituConfig, notices: list[str])
     return listed
 
 
-def _constant(samples: Samples, name: str | None, values: NDArray[np.float64]) -> float:
+def _constant(samples: Samples, name: str | None, values: Floats) -> float:
     """Return the one value of a column; raise LogError if it has several, or none in some row."""
     if np.isnan(values).any() or np.ptp(values) > _ALIKE:
         raise LogError(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.force_torque.config import SI, Columns, InSituConfig
 from surefoot.experiments.logs.bag import is_bag, read_bag
 from surefoot.experiments.logs.table import LogError, LogTable, join_names, read_table

@@ -5,10 +5,10 @@ from functools import cached_property
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ import InSituFit, InSituSet, estimate_offset
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.force_torque.validation import (
     added_mass,

@@ -10,13 +10,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.calibration.in_situ.data import InSituSet
 from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.in_situ.model import STATIC, inertial_parameters, signals, transform_basis
-
-Matrix = NDArray[np.float64]
 
 _LEAST = 1e-3
 """Least singular value of the directions of gravity, against the largest, that still spans space."""
@@ -25,11 +24,11 @@ _LEAST = 1e-3
 class Ellipsoid(NamedTuple):
     """The ellipsoid {centre + axes u : |u| = 1}."""
 
-    centre: NDArray[np.float64]  # shape (3,)
-    axes: NDArray[np.float64]  # a semi-axis a column, the longest first, shape (3, 3)
+    centre: Floats  # shape (3,)
+    axes: Floats  # a semi-axis a column, the longest first, shape (3, 3)
 
     @property
-    def semi_axes(self) -> NDArray[np.float64]:
+    def semi_axes(self) -> Floats:
         """Lengths of the semi-axes, the longest first, shape (3,)."""
         return np.asarray(np.linalg.norm(self.axes, axis=0))
 
@@ -43,7 +42,7 @@ class AddedMassEstimate(NamedTuple):
     """Mass added to a limb, and its place."""
 
     mass: float  # in kg; may come out negative where nothing hangs
-    position: NDArray[np.float64]
+    position: Floats
     """Of its centre of mass in the sensor's frame in m, shape (3,); NaN without mass."""
 
 
@@ -108,7 +107,7 @@ def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEs
 
 def offset_of_set(
     raw: ArrayLike, gravity: ArrayLike, response: ArrayLike, noise: ArrayLike | None = None
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return a sensor's offset from a set that took no part in its calibration.
 
     Least squares of r = A M(m, c) g + o in o, m and m c: A is known; the added mass and the limb
@@ -136,7 +135,7 @@ def offset_of_set(
     return np.asarray(r.mean(axis=0) - found @ parts.mean(axis=2))
 
 
-def predict_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
+def predict_wrench(data: InSituSet, limb: Limb) -> Floats:
     """Compute the wrench of limb and added mass in N and N m (in-situ paper, Eq. 4), shape (n, 6).
 
     Args:
@@ -151,7 +150,7 @@ def predict_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
     return np.asarray(signals(data, data.moves) @ np.einsum("p,pws->sw", body[: len(basis)], basis))
 
 
-def motion_wrench(data: InSituSet, limb: Limb) -> NDArray[np.float64]:
+def motion_wrench(data: InSituSet, limb: Limb) -> Floats:
     """Return the part of :func:`predict_wrench` that comes of turning: zero at rest, shape (n, 6)."""
     still = replace(data, angular_velocity=None, angular_acceleration=None)
     return predict_wrench(data, limb) - predict_wrench(still, limb)
@@ -163,7 +162,7 @@ def as_seen(data: InSituSet, fit: InSituFit) -> InSituSet:
     return replace(data, raw=raw, gravity=data.gravity @ fit.rotation.T)
 
 
-def _take_finite(values: ArrayLike, gravity: ArrayLike) -> tuple[Matrix, Matrix]:
+def _take_finite(values: ArrayLike, gravity: ArrayLike) -> tuple[Floats, Floats]:
     """Return the rows in which both are finite."""
     values, gravity = np.asarray(values, dtype=np.float64), np.asarray(gravity, dtype=np.float64)
     there = np.isfinite(values).all(axis=1) & np.isfinite(gravity).all(axis=1)
@@ -172,7 +171,7 @@ def _take_finite(values: ArrayLike, gravity: ArrayLike) -> tuple[Matrix, Matrix]
     return values[there], gravity[there]
 
 
-def cramer_rao(sets: Sequence[InSituSet], response: Matrix, limb: Limb, noise: Matrix) -> Matrix:
+def cramer_rao(sets: Sequence[InSituSet], response: Floats, limb: Limb, noise: Floats) -> Floats:
     """Return the bound on the covariance of (A row by row, m, m c, the offsets of the sets).
 
     Args:
@@ -209,7 +208,7 @@ def cramer_rao(sets: Sequence[InSituSet], response: Matrix, limb: Limb, noise: M
     return np.asarray(np.linalg.inv(unit) / np.outer(scale, scale))
 
 
-def offset_bounds(bound: Matrix, response: Matrix, sets: int) -> Matrix:
+def offset_bounds(bound: Floats, response: Floats, sets: int) -> Floats:
     """Return the bound of each set's offset as a wrench, C P C', in N^2 and (N m)^2, shape (J, 6, 6).
 
     Args:
@@ -224,7 +223,7 @@ def offset_bounds(bound: Matrix, response: Matrix, sets: int) -> Matrix:
     return np.array([C @ bound[place, place] @ C.T for place in places])
 
 
-def normalise_error(fit: InSituFit, response: Matrix, offset: Matrix, limb: Limb) -> float:
+def normalise_error(fit: InSituFit, response: Floats, offset: Floats, limb: Limb) -> float:
     """Return the squared error of (C, the last offset, limb) by the covariance of the fit (NEES).
 
     Args:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.calibration.in_situ import InSituOptions, calibrate_in_situ, estimate_matrix, estimate_offset
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.validation import cramer_rao, normalise_error, offset_bounds
 from surefoot.experiments.in_situ.instruments import (
     accelerometer_bias,

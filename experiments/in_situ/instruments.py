@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.calibration.imu import calibrate_accelerometer, gravity_from_imu
 from surefoot.calibration.in_situ import InSituSet, Limb
 from surefoot.envs.leg_rig.recording import RigRecording
-from surefoot.experiments.arrays import Floats
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
 from surefoot.sensors.devices.native_device import native_here
 from surefoot.sensors.devices.native_kinds import STRAIN_GAUGES

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.calibration.imu import savitzky_golay
 from surefoot.calibration.in_situ import (
     InSituFit,
@@ -16,7 +17,6 @@ from surefoot.calibration.in_situ import (
     estimate_matrix,
     estimate_offset,
 )
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.validation import added_mass, force_ellipsoid, offset_of_set
 from surefoot.experiments.in_situ.instruments import SensorTruth
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import ks_2samp
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.instrument.noise import FEWEST, Stretch, conversions, find_settled, rests, step_of
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.instrument.response import AFTER

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.logs.format import MAX_GAP
 
 FEWEST = 16  # samples of a stretch at rest: shorter ones show no more than their own slope

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.force_torque.config import Columns, config_beside
 from surefoot.experiments.force_torque.log import InSituLog, read_in_situ_log
 from surefoot.experiments.instrument.noise import BLOCK

@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.instrument.rest import SURE, AtRest, Interval, normal_interval
 from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mechanics import SMALLEST_LOOP

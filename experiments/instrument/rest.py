@@ -21,7 +21,7 @@ from scipy.fft import dst
 from scipy.optimize import brentq, minimize
 from scipy.stats import chi2, norm
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.instrument.noise import ROUNDING, Stretch
 
 AVERAGED = (1, 2, 4, 8)  # conversions that converters average over

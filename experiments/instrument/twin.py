@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import linregress
 
+from surefoot.arrays import Floats
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.instrument.likeness import compare, constant_stretches
 from surefoot.experiments.instrument.noise import FEWEST, Conversions, conversions, step_of
 from surefoot.experiments.instrument.recording import Recording

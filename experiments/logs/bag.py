@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 from pydantic import Field, PlainValidator, model_validator
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.description import Description
 from surefoot.experiments.logs.motion import ACCELEROMETER, GYROSCOPE, PACKET, count_rows, even_times

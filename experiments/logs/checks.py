@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.calibration import CalibrationRefused
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.results import Finding, decide
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.table import LogError, LogTable, join_names
 from surefoot.names import page
 

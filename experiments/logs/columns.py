@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from surefoot.arrays import Floats
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import GRAVITY
-from surefoot.experiments.arrays import Floats
 from surefoot.names import slug
 
 _VECTORS = {

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, Reference
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import check_columns
 from surefoot.experiments.logs.table import LogError, LogTable
 

@@ -19,11 +19,11 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats, take_rows
 from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
-from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.bag import Bag, is_bag, is_motion, read_bag
 from surefoot.experiments.logs.checks import LISTED, check_columns, check_reference, check_time
 from surefoot.experiments.logs.columns import (

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats, stack_rows
 from surefoot.calibration import FeetLayout, MomentumReference, Reference
-from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.motion import Motion
 from surefoot.experiments.logs.table import LogError

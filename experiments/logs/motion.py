@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.logs.checks import check_increasing, naming_cure
 from surefoot.experiments.logs.columns import stack
 from surefoot.experiments.logs.description import MotionFacts

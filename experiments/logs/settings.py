@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.logs.table import LogError
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]

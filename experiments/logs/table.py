@@ -11,7 +11,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as csv
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
+
+from surefoot.arrays import Floats
 
 _SHOWN, _LISTED = 4, 24  # missing columns, and columns of a file, that a message names
 
@@ -81,7 +82,7 @@ class LogTable:
             raise LogError(f"{self.file}: missing column {shown}; {cure}")
         return tuple(names)
 
-    def numbers(self, name: str, *, flags: bool = False) -> NDArray[np.float64]:
+    def numbers(self, name: str, *, flags: bool = False) -> Floats:
         """Return a column as floats, NaN where empty, (rows,); LogError at anything else but flags."""
         column = self.data.column(name)
         kind = column.type
@@ -110,7 +111,7 @@ class LogTable:
                 ) from None
         return found
 
-    def stack_columns(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def stack_columns(self, names: Sequence[str]) -> Floats:
         """Return columns side by side, shape (rows, columns)."""
         return np.stack([self.numbers(name) for name in names], axis=-1)
 

@@ -13,10 +13,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
 from surefoot.controllers.posture import PostureDrive, posture_matrix
 from surefoot.envs.robots.nao import motor_of_joint
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.policy.tasks import Task, find_task
 from surefoot.experiments.walks.walkers import FEEDS, TruthTap, check_feed, put_on_feet
 

@@ -8,8 +8,10 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import stdtrit
+
+from surefoot.arrays import Floats
 
 
 class Interval(NamedTuple):
@@ -70,10 +72,10 @@ def fall_share(fell: ArrayLike) -> Share:
 class Survival(NamedTuple):
     """A survival curve: from each time on, the share on its feet and its 95 % band, shape (n,) each."""
 
-    time: NDArray[np.float64]  # in s, from 0 on
-    share: NDArray[np.float64]
-    low: NDArray[np.float64]  # NaN where nothing is known of it
-    high: NDArray[np.float64]
+    time: Floats  # in s, from 0 on
+    share: Floats
+    low: Floats  # NaN where nothing is known of it
+    high: Floats
 
 
 def survival(time: ArrayLike, fell: ArrayLike) -> Survival:

@@ -11,9 +11,9 @@ import viser
 from numpy.typing import NDArray
 from PIL import ImageColor
 
+from surefoot.arrays import Floats
 from surefoot.calibration.estimate import Flag
 from surefoot.calibration.layout import FeetLayout
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.view.server import PLACE
 from surefoot.experiments.view.shown import WAYS, Shown

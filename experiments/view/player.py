@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import viser
 
+from surefoot.arrays import Floats, take_rows
 from surefoot.calibration import GRAVITY, METHODS
 from surefoot.calibration.estimate import Estimate
-from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.checks import check_load_cells
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError

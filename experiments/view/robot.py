@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 import viser
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 
 VISIBLE_GROUPS = 3  # geoms of groups below this one are drawn, as MuJoCo's viewers do
 

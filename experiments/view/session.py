@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 import surefoot
+from surefoot.arrays import Floats
 from surefoot.calibration import METHODS, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.online import method_entry
@@ -16,7 +17,6 @@ from surefoot.calibration.setup import method_name
 from surefoot.controllers import Stabiliser
 from surefoot.envs.gait.footsteps import GaitTiming
 from surefoot.envs.gait.pattern import plan_walk
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.policy.controllers import load_controller
 from surefoot.experiments.view.shown import WAYS, Reading, Shown, show_feet

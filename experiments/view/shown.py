@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.calibration.estimate import Estimate
-from surefoot.experiments.arrays import Floats
 
 WAYS = ("true", "raw", "calibrated")
 """Ways in which the feet are read, side by side; each can be a controller's feed."""

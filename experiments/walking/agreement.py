@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats, take_rows
 from surefoot.calibration import Reference, ground_reference, zero_phase
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments, level_moments, sole_wrenches
-from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.walks.score import rms
 

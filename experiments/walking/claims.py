@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma
 
+from surefoot.arrays import Floats, take_rows
 from surefoot.calibration import GRAVITY, OnlineSetup, Parameters, Reference
-from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log
 
 BLOCK = 0.1  # time in s that a row is the mean of: shorter than a step, longer than a ripple of servos

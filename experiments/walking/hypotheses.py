@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import Floats, take_rows
 from surefoot.calibration import GRAVITY, FeetLayout, Parameters, Reference
-from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walking.claims import Claims
 

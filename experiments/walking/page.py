@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import Flag
 from surefoot.calibration.cop import sole_wrenches
 from surefoot.experiments.study.figures import (
@@ -137,14 +138,14 @@ def flags_over_time(path: Path, facts: Facts) -> Path | None:
     return path
 
 
-def _sides(facts: Facts) -> list[tuple[NDArray[np.float64], Look]]:
+def _sides(facts: Facts) -> list[tuple[Floats, Look]]:
     """Return forces by the starting map, calibrated and, where the log has them, true."""
     before = look_of("none")._replace(label=f"by the {facts.start} map")
     sides = [(facts.before, before), (facts.estimate.force, look_of(facts.method))]
     return sides if facts.log.truth is None else [*sides, (facts.log.truth.force, look_of("truth"))]
 
 
-def _line(axes: Axes, time: NDArray[np.float64], values: NDArray[np.float64], look: Look) -> None:
+def _line(axes: Axes, time: Floats, values: Floats, look: Look) -> None:
     style: Any = {"color": look.colour, "linestyle": look.line, "label": look.label}
     axes.plot(time, values, linewidth=1.0, rasterized=len(time) > _LONG, **style)
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, Estimate, Flag, OnlineSetup, Parameters
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import Table, decimal, number, percent, span, with_deviation

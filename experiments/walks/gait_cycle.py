@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import median_filter
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_wrench, sole_wrenches
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.walks.play import Stream
 from surefoot.experiments.walks.score import rms, vertical_forces
 

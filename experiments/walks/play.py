@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats, take_rows
 from surefoot.calibration import Estimate, FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import cop_of_feet, sole_wrenches
-from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log, LogTruth, read_log
 from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.replay import age_of, beliefs_of, starting_map, steps_of

@@ -13,11 +13,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 import surefoot
+from surefoot.arrays import Floats, stack_rows
 from surefoot.calibration import GRAVITY, MomentumReference, Parameters, Reference
 from surefoot.controllers import Stabiliser
 from surefoot.envs import RobotDrawing
 from surefoot.envs.nao.env import CONTROL_STEP
-from surefoot.experiments.arrays import Floats, stack_rows
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.walks.walkers import G1_FEET, STAND_TIME, TruthTap, make_g1
 from surefoot.experiments.weights.weighing import weigh_cells

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.arrays import Floats, take_rows
 from surefoot.calibration import Estimate, MomentumReference, Parameters, Reference, replay
 from surefoot.calibration.setup import OnlineSetup
 from surefoot.calibration.weights.known_map import read_map
 from surefoot.calibration.window.config import confidence_from_standing
-from surefoot.experiments.arrays import Floats, take_rows
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 

@@ -16,10 +16,10 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 from surefoot.envs import InstrumentedEnv, load_robot_spec
 from surefoot.envs.exercise.held import HeldRobot
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.study.page import (
     Report,

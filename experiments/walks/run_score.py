@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from surefoot.arrays import Floats
 from surefoot.calibration import Flag, ground_reference
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.walks.play import Played, Stream
 from surefoot.experiments.walks.replay import age_of, starting_map
 from surefoot.experiments.walks.scenarios import TRUE_MAP

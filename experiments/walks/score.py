@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, cop_of_wrench, sole_wrenches
 from surefoot.calibration.layout import FeetLayout
-from surefoot.experiments.arrays import Floats
 
 
 class Score(NamedTuple):

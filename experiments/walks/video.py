@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.episodes.episode import Episode, Moment, episode_moments
 from surefoot.experiments.episodes.plan import walk_episode
 from surefoot.experiments.policy.controllers import short_name

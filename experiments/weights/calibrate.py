@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.calibration import CalibrationRefused, Curves, Parameters, fit_channels
 from surefoot.calibration.weights.channels import ChannelFit
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.columns import LOADS
 from surefoot.experiments.logs.mapping import TableMapping

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 from scipy.stats import theilslopes
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.results import Finding
 from surefoot.calibration.weights.curves import LEAST, CurveFit, Curves, fit_curve
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque.checks import RAILS
 from surefoot.experiments.study.tables import round_to
 from surefoot.experiments.weights.loop import LEAST as LEAST_LOOP

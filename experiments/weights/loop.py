@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.instrument.response import loop_of
 
 ALARM = 1e-4  # probability that a cell without hysteresis, or without drift, is said to have some

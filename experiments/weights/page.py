@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from surefoot.experiments.arrays import Floats
+from surefoot.arrays import Floats
 from surefoot.experiments.study.figures import figure_at, grid_of, legend_below, name_axes
 from surefoot.experiments.study.page import ReportFigure, Section, write_log_page
 from surefoot.experiments.study.tables import Table, decimal

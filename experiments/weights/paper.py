@@ -4,8 +4,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.experiments.study.page import Words
@@ -168,5 +168,5 @@ def _load(load: float) -> str:
     return "no load" if load == 0 else f"{load:g} kg"
 
 
-def _code(codes: NDArray[np.float64]) -> Callable[[int], str]:
+def _code(codes: Floats) -> Callable[[int], str]:
     return lambda i: decimal(codes[i], ",.0f")

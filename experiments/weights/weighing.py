@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.cop import cop_of_cells
 from surefoot.calibration.layout import FootLayout, nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
@@ -25,7 +26,6 @@ from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.calibration.weights.cop_correction import CopCorrectionFit, fit_cop_correction
 from surefoot.envs.instrumentation.plate import SolePlate
-from surefoot.experiments.arrays import Floats
 from surefoot.sensors import LoadCells, load_cells
 from surefoot.sensors.devices.load_cells import LoadCellState, static_counts
 from surefoot.sensors.presets import HX711_LOAD_CELLS

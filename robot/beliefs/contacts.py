@@ -10,6 +10,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, MomentumReference, Reference
 from surefoot.robot.beliefs.odometry import FREE_FALL
 
@@ -85,7 +86,7 @@ class Kinematics:
         runs: For how many samples each foot has stood, and has swung, (2 F).
     """
 
-    def __init__(self, touching: NDArray[np.float64], rolls: bool = False, gravity: float = GRAVITY) -> None:
+    def __init__(self, touching: Floats, rolls: bool = False, gravity: float = GRAVITY) -> None:
         self._places, self._radius = touching[..., :3], touching[..., 3]
         self._free_fall, self._rolls = FREE_FALL * gravity, rolls
         # A soft round foot that bears load is pressed flat by no more than its radius.
@@ -93,7 +94,7 @@ class Kinematics:
         self.runs = [0] * (2 * len(touching))
 
     def at(
-        self, reference: Reference | MomentumReference, accelerometer: NDArray[np.float64]
+        self, reference: Reference | MomentumReference, accelerometer: Floats
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Take in the robot's beliefs of one moment, and return which feet surely stood or swung then.
 
@@ -143,7 +144,7 @@ class Upright:
         self.highest = 0.0
         self.upright = self.fell = False
 
-    def at(self, reference: Reference, force_bias: NDArray[np.float64]) -> bool:
+    def at(self, reference: Reference, force_bias: Floats) -> bool:
         """Take in the robot's beliefs of one moment, and return whether it was upright then.
 
         Samples follow each other; NaN, where nothing is known, passes. The believed error of the

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import MomentumReference, Reference
 from surefoot.robot.beliefs.believed import Believed, unknown
 from surefoot.robot.beliefs.lag import HISTORY
@@ -22,7 +23,6 @@ from surefoot.sensors.transport.link import Packets
 if TYPE_CHECKING:
     from surefoot.envs.instrumentation.drawing import RobotDrawing
 
-Floats = NDArray[np.float64]
 
 COM = 0  # row of the centre of mass in every MomentumRows
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import MomentumReference, Reference
 from surefoot.calibration.native import ReferenceRecord
 from surefoot.native import CALIBRATION, Library, c_header, require
@@ -154,7 +155,7 @@ class NativeBeliefs:
         found: MomentumReference = self._moved.reference()._replace(stance=stance, swing=swing)
         return found
 
-    def soles(self, time: float) -> NDArray[np.float64]:
+    def soles(self, time: float) -> Floats:
         """As :meth:`Beliefs.soles`."""
         timing, state, _, _, soles = self._addresses
         self._functions.surefoot_beliefs_soles(timing, state, time, soles)

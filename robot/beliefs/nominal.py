@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors
 
 if TYPE_CHECKING:
@@ -16,9 +17,9 @@ if TYPE_CHECKING:
 class Masses(NamedTuple):
     """A robot's beliefs of its bodies."""
 
-    mass: NDArray[np.float64]  # masses in kg, shape (B,)
-    inertia: NDArray[np.float64]  # principal moments of inertia in kg m^2, shape (B, 3)
-    com_torso: NDArray[np.float64]  # centre of mass of the torso's own body in its frame in m, shape (3,)
+    mass: Floats  # masses in kg, shape (B,)
+    inertia: Floats  # principal moments of inertia in kg m^2, shape (B, 3)
+    com_torso: Floats  # centre of mass of the torso's own body in its frame in m, shape (3,)
 
 
 class _Shared:
@@ -156,8 +157,8 @@ class NominalModel:
         self._shared.turn_to(self._masses)
 
     def evaluate(
-        self, position: NDArray[np.float64], velocity: NDArray[np.float64], spin: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        self, position: Floats, velocity: Floats, spin: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats]:
         """Compute the posture.
 
         Args:
@@ -181,7 +182,7 @@ class NominalModel:
         axes = shared.site_axes[self._soles].reshape(-1, 3)
         return shared.com, shared.momentum, shared.site_position[self._sites], axes
 
-    def velocities(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def velocities(self) -> tuple[Floats, Floats]:
         """Return velocities relative to the torso's origin in its axes, right after :meth:`evaluate`.
 
         Returns:
@@ -225,7 +226,7 @@ class NominalModel:
         }
 
 
-def _rotations(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rotations(quaternions: Floats) -> Floats:
     """Return the matrices of MuJoCo's quaternions, shape (N, 3, 3)."""
     matrices = np.zeros((len(quaternions), 9))
     for matrix, quaternion in zip(matrices, quaternions, strict=True):

@@ -13,8 +13,8 @@ Vectors of three are handled as plain floats, which is several times faster than
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 
 TILT_TIME = 0.3  # T in s: how fast the soles hold the tilt upright
@@ -54,13 +54,7 @@ class Odometry:
         self.up: Vector = (0.0, 0.0, 1.0)
         self.force_bias = self.spin_bias = np.zeros(3)
 
-    def turn(
-        self,
-        spin: NDArray[np.float64],
-        force: NDArray[np.float64],
-        sites: NDArray[np.float64],
-        axes: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def turn(self, spin: Floats, force: Floats, sites: Floats, axes: Floats) -> Floats:
         """Take in one middle between packets.
 
         Args:
@@ -110,7 +104,7 @@ class Odometry:
             self.force_bias = np.array((bx, by, bz + share * (fz - gravity * z - bz)))
         return R
 
-    def _upright(self, sites: NDArray[np.float64], axes: NDArray[np.float64]) -> list[float]:
+    def _upright(self, sites: Floats, axes: Floats) -> list[float]:
         """Return which way is up by the lowest sole, or by those that are level with each other.
 
         A sole counts by the product of the odds for it against each other one: 1/2 for two at one height,

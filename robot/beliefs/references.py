@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import Reference
 from surefoot.robot.beliefs.believed import Believed, Believes, nothing
 from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
@@ -80,12 +81,12 @@ class Posture(NamedTuple):
     Its arrays are the model's own, until that evaluates another one.
     """
 
-    com: NDArray[np.float64]  # centre of mass in m, shape (3,)
-    momentum: NDArray[np.float64]  # angular momentum about it in kg m^2/s, shape (3,)
-    sites: NDArray[np.float64]  # IMU and soles in m, shape (1 + F, 3)
-    axes: NDArray[np.float64]  # the soles' axes x, y and z, shape (3 F, 3)
-    force: NDArray[np.float64]  # mean specific force since the packet before in m/s^2, shape (3,)
-    spin: NDArray[np.float64]  # mean angular velocity in rad/s, shape (3,)
+    com: Floats  # centre of mass in m, shape (3,)
+    momentum: Floats  # angular momentum about it in kg m^2/s, shape (3,)
+    sites: Floats  # IMU and soles in m, shape (1 + F, 3)
+    axes: Floats  # the soles' axes x, y and z, shape (3 F, 3)
+    force: Floats  # mean specific force since the packet before in m/s^2, shape (3,)
+    spin: Floats  # mean angular velocity in rad/s, shape (3,)
 
 
 class Beliefs(Believed):
@@ -140,7 +141,7 @@ class Beliefs(Believed):
         lag: int = 0,
         dt: float = 1.0 / 80.0,
         joined: int = 1,
-        touching: NDArray[np.float64] | None = None,
+        touching: Floats | None = None,
         rolls: bool = False,
     ) -> None:
         own: dict[str, Any] = {"lag": lag, "dt": dt, "joined": joined, "rolls": rolls}
@@ -174,12 +175,12 @@ class Beliefs(Believed):
         return self._begin()
 
     @property
-    def force_bias(self) -> NDArray[np.float64]:
+    def force_bias(self) -> Floats:
         """The believed error of the robot's accelerometer in m/s^2, shape (3,)."""
         return self.odometry.force_bias
 
     @property
-    def spin_bias(self) -> NDArray[np.float64]:
+    def spin_bias(self) -> Floats:
         """What the robot takes for an error of its gyroscope in rad/s, shape (3,)."""
         return self.odometry.spin_bias
 
@@ -236,7 +237,7 @@ class Beliefs(Believed):
         left = packet.arrival - self.delay - packet.number * self.period
         self.clock += (left - self.clock) * max(1.0 / self.seen, 1.0 / CLOCK_MEMORY)
 
-    def _find_posture(self, before: NDArray[np.float64], after: NDArray[np.float64]) -> Posture:
+    def _find_posture(self, before: Floats, after: Floats) -> Posture:
         """Find the posture at the middle between two packets."""
         where, period = self.layout, self.period
         start, end = before[where.joint_position], after[where.joint_position]
@@ -292,7 +293,7 @@ class Beliefs(Believed):
             self.believed = self.find_contacts(self.believed, self.believed.accelerometer)
         return fell
 
-    def find_contacts(self, reference: Believes, accelerometer: NDArray[np.float64]) -> Believes:
+    def find_contacts(self, reference: Believes, accelerometer: Floats) -> Believes:
         """Return a reference with contacts by kinematics; arguments as of :meth:`Kinematics.at`."""
         stance, swing = self.kinematics.at(reference, accelerometer)
         return reference._replace(stance=stance, swing=swing)
@@ -340,7 +341,7 @@ class Beliefs(Believed):
             rows[at.gyroscope],
         )
 
-    def soles(self, time: float) -> NDArray[np.float64]:
+    def soles(self, time: float) -> Floats:
         """Return where the soles are at a moment later than the newest packet, at their last velocities.
 
         Args:
@@ -375,14 +376,14 @@ class Beliefs(Believed):
         """Time on the host's clock of the middle between a packet and the one before."""
         return self.clock + (number - 0.5) * self.period
 
-    def _at(self, time: float) -> NDArray[np.float64]:
+    def _at(self, time: float) -> Floats:
         """Interpolate the rows that are complete, shape (ROWS, 3); at their ends, take the end."""
         last = self.last
         assert last is not None
         low, high = last.number - min(self.run, HISTORY - 1) + 2, last.number - 1
         return self.interpolate(self.ring, time, low, high)
 
-    def interpolate(self, ring: NDArray[np.float64], time: float, low: int, high: int) -> NDArray[np.float64]:
+    def interpolate(self, ring: Floats, time: float, low: int, high: int) -> Floats:
         """Interpolate a ring of rows, of the middles before packets, (HISTORY, ...), at a moment in s.
 
         Rows are used from the packet of number ``low`` to that of ``high``.
@@ -392,13 +393,11 @@ class Beliefs(Believed):
         number = min(floor(index), high - 1) if high > low else low
         row = ring[number % HISTORY]
         part = index - number
-        rows: NDArray[np.float64] = row + part * (ring[(number + 1) % HISTORY] - row)
+        rows: Floats = row + part * (ring[(number + 1) % HISTORY] - row)
         return rows
 
 
-def _level(
-    soles: NDArray[np.float64], axes: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _level(soles: Floats, axes: Floats) -> tuple[Floats, Floats]:
     """Find the level frame: its rotation from the odometry frame, and its origin in its own axes.
 
     It is midway between the soles, shape (F, 3) in m, at the height of the lowest one, and heads as they do

@@ -16,13 +16,11 @@ velocity that this requires.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.arrays import skew
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.odometry import FREE_FALL
-
-Floats = NDArray[np.float64]
 
 LEG_TIME = 1.0  # 1 / k_1 in s: a step or two, over which the rolling of soles averages out
 

@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.device import FootDevice, first_steps
@@ -24,8 +25,6 @@ from surefoot.sensors.devices.load_cells import LoadCellState, true_map, with_tr
 from surefoot.sensors.devices.native_kinds import CELLS, FORCE_TORQUE
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.stages.shear import mix
-
-Floats = NDArray[np.float64]
 
 USUAL_LENGTH = 0.2
 """Length in m of a foot that has none, such as a sphere: errors of moments are stated in its terms."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import Parameters
 from surefoot.robot.sensing.instruments import Instruments
 from surefoot.sensors import Corruption, channel_faults, parse_fault
@@ -71,7 +71,7 @@ class LiveErrors:
         """The faults, in words, in the order in which they came."""
         return tuple(broken.words for broken in self._broken)
 
-    def read(self, raw: NDArray[np.float64], hardware: Parameters) -> NDArray[np.float64]:
+    def read(self, raw: Floats, hardware: Parameters) -> Floats:
         """Return the host's readings in place of the hardware's, in counts, shape (K,).
 
         NaN stands where none arrived. The second map undoes the hardware's errors.

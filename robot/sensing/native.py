@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.robot import SensedColumns
 from surefoot.native import SENSORS, PointerRecord, Record, call_for_many
 from surefoot.robot.sensing.instruments import CellsUnderFeet, Instruments, InstrumentsState
@@ -23,7 +24,7 @@ _SEEN = itemgetter("raw", "counts", "state")
 _NOTHING = np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.int32)
 """No numbers of a state that are measured."""
 
-Maps = tuple[NDArray[np.float64], ...]  # factors and forces to add of cells; nothing without cells
+Maps = tuple[Floats, ...]  # factors and forces to add of cells; nothing without cells
 
 
 class Places(NamedTuple):
@@ -64,10 +65,7 @@ class NativeSensing:
     """
 
     def __init__(
-        self,
-        python: PythonSensing,
-        devices: Mapping[str, NativeDevice],
-        telemetry: NativeTelemetry | None,
+        self, python: PythonSensing, devices: Mapping[str, NativeDevice], telemetry: NativeTelemetry | None
     ) -> None:
         library = SENSORS.installed()
         assert library is not None
@@ -85,7 +83,7 @@ class NativeSensing:
         self._seen = Record(
             np.dtype([("raw", "f8", channels), ("counts", "f4", channels), ("state", "f4", shown)])
         )
-        self._raw: NDArray[np.float64] = self._seen.now["raw"]
+        self._raw: Floats = self._seen.now["raw"]
         measured = {"from": taken, "to": to, "shares": len(to), "numbers": len(observed)}
         parts = self._parts_of(python) | self._arrays_of(python, observed) | measured
         self.records = PointerRecord(library, "sense_records", parts)
@@ -155,7 +153,7 @@ class NativeSensing:
         for name, device in self._devices.items():
             self.records[f"{device.kind.name}_stream"] = streams[name]
 
-    def keep_in(self, newest: NDArray[np.float64], held: NDArray[np.float32]) -> None:
+    def keep_in(self, newest: Floats, held: NDArray[np.float32]) -> None:
         """Keep what is shown in other arrays."""
         self._spec.kept = newest, held
         self.records["newest"], self.records["held"] = newest, held
@@ -185,7 +183,7 @@ class NativeSensing:
             found.telemetry_state, found.arrived = self.telemetry_state, self.packets()
         return found
 
-    def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen:
+    def begin(self, truth: Any, at_rest: Floats, fresh: bool, observation: Any) -> Seen:
         """Start an episode, in a truth that has the same places."""
         maps = _maps(truth, self._spec.fitted.instruments)
         assert maps is not None
@@ -264,9 +262,7 @@ class ManySensing:
             _, self.packets[i] = self.robots[i].packet_rows() or (0, 0)
         self._shapes = {robot.places.shape for robot in self.robots}
 
-    def step(
-        self, which: NDArray[np.intp], truth: NDArray[np.float64], time: NDArray[np.float64], threads: int
-    ) -> bool:
+    def step(self, which: NDArray[np.intp], truth: Floats, time: Floats, threads: int) -> bool:
         """Read a control step, if it has as many substeps as the last; return whether that was done.
 
         Truth is of all robots, shape (N, S, columns); the hosts' clocks at its end in s are of those read.

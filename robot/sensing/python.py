@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.robot.sensing.equipment import Fitted
 from surefoot.robot.sensing.instruments import InstrumentsState
 from surefoot.robot.sensing.raw_view import RawView
@@ -13,7 +14,7 @@ from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.computer import Telemetry
 from surefoot.sensors.transport.link import Packets
 
-Seen = tuple[NDArray[np.float64], dict[str, Any]]
+Seen = tuple[Floats, dict[str, Any]]
 """A reading in counts, shape (K,), and the observation, in fresh arrays; without a view the next one
 overwrites the reading, and the observation is empty."""
 
@@ -54,7 +55,7 @@ class PythonSensing:
         fitted: Fitted,
         telemetry: Telemetry | None,
         dt: float,
-        kept: tuple[NDArray[np.float64], NDArray[np.float32]],
+        kept: tuple[Floats, NDArray[np.float32]],
         view: RawView | None,
     ) -> None:
         self.fitted, self.telemetry, self.dt, self.kept, self.view = fitted, telemetry, dt, kept, view
@@ -78,11 +79,11 @@ class PythonSensing:
         """Let chance come from other streams, by the names of devices."""
         self.streams = streams
 
-    def keep_in(self, newest: NDArray[np.float64], held: NDArray[np.float32]) -> None:
+    def keep_in(self, newest: Floats, held: NDArray[np.float32]) -> None:
         """Keep the newest packet's values and the counts that are held in other arrays from here on."""
         self.kept = newest, held
 
-    def begin(self, truth: Any, at_rest: NDArray[np.float64], fresh: bool, observation: Any) -> Seen:
+    def begin(self, truth: Any, at_rest: Floats, fresh: bool, observation: Any) -> Seen:
         """Start an episode: read every chip and the link under the first load.
 
         Before it the IMU's input was ``at_rest``, shape (6,); IMU and encoders are drawn if they are fresh.
@@ -122,7 +123,7 @@ class PythonSensing:
         """Return the reader in Python that goes on from here: this."""
         return self
 
-    def _read(self, truth: Any, dt: float) -> NDArray[np.float64]:
+    def _read(self, truth: Any, dt: float) -> Floats:
         """Read the feet."""
         fitted, (instruments, faults, *_) = self.fitted, self.state
         raw, instruments = fitted.instruments.read(truth, instruments, self.streams, dt)
@@ -131,7 +132,7 @@ class PythonSensing:
         self.state = self.state._replace(instruments=instruments, faults=faults)
         return raw
 
-    def _show(self, raw: NDArray[np.float64], observation: Any) -> Seen:
+    def _show(self, raw: Floats, observation: Any) -> Seen:
         """Keep the readings that have arrived, and show them."""
         newest, held = self.kept
         arrived = ~np.isnan(raw)

@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.sensors.telemetry.computer import MEASURED, TelemetryLayout
 
 TRUE_KEYS = ("foot_force", "cop", "cop_foot", "cop_valid")
@@ -48,9 +49,7 @@ class RawView:
         self.bounds = state.low, state.high
         self._measured = [] if state_layout is None else _overwritten(state_layout, packet)
 
-    def show(
-        self, observation: Any, counts: NDArray[np.float32], newest: NDArray[np.float64]
-    ) -> dict[str, Any]:
+    def show(self, observation: Any, counts: NDArray[np.float32], newest: Floats) -> dict[str, Any]:
         """Show one step of one robot or of all; the environment's arrays are not changed.
 
         Counts are the last ones that have arrived, shape (..., K); ``newest`` are the values of the newest

@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration import Parameters
 from surefoot.calibration.state import load_state, save_state
 from surefoot.calibration.weights.known_map import is_file_of_map, read_map
@@ -53,12 +54,12 @@ class RobotSensors(OfOneVersion):
         self.conditions, self._fitted = equipment.conditions, equipment.fitted
         self.sensors_fresh, self.clock = True, np.zeros(1)
         self.held = equipment.instruments.zero_code.astype(np.float32)
-        self.newest: NDArray[np.float64] = np.zeros(equipment.packet.size)
+        self.newest: Floats = np.zeros(equipment.packet.size)
         self._streams: dict[str, Any] = equipment.streams(None)
         self._telemetry: Telemetry | None = None
         self._backend: SensingBackend | None = None
         self._chosen_for: Any = None
-        self._raw: NDArray[np.float64] | None = None
+        self._raw: Floats | None = None
 
     def reset(
         self,
@@ -125,9 +126,7 @@ class RobotSensors(OfOneVersion):
         """Return where the library has rows of :attr:`packets`, until the next step, and how many."""
         return self.backend.packet_rows()
 
-    def keep_in(
-        self, held: NDArray[np.float32], newest: NDArray[np.float64], clock: NDArray[np.float64]
-    ) -> None:
+    def keep_in(self, held: NDArray[np.float32], newest: Floats, clock: Floats) -> None:
         """Keep :attr:`held`, :attr:`newest` and :attr:`clock` in other arrays from here on."""
         held[...], newest[...], clock[...] = self.held, self.newest, self.clock
         self.held, self.newest, self.clock = held, newest, clock
@@ -135,7 +134,7 @@ class RobotSensors(OfOneVersion):
             self._backend.keep_in(newest, held)
 
     @property
-    def raw(self) -> NDArray[np.float64]:
+    def raw(self) -> Floats:
         """The feet's last reading in counts, in double precision, shape (K,); NaN: none arrived."""
         if self._raw is None:
             raise gym.error.ResetNeeded("There are no readings before the first reset().")

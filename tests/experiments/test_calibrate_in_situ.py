@@ -12,9 +12,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+from surefoot.arrays import Floats
 from surefoot.calibration.in_situ import read_calibration
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.force_torque import calibrate as module
 from surefoot.experiments.force_torque.calibrate import SAMPLE, CalibratedSensor, calibrate_in_situ_log
 from surefoot.experiments.force_torque.config import InSituConfig, config_beside

@@ -17,8 +17,8 @@ from _streams import stream
 from numpy.typing import NDArray
 
 import surefoot  # noqa: F401  (registers the environments)
+from surefoot.arrays import Floats
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.arrays import Floats
 from surefoot.experiments.instrument.likeness import compare
 from surefoot.experiments.instrument.noise import conversions
 from surefoot.experiments.instrument.recording import Recording, read_recording
