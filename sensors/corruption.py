@@ -13,11 +13,10 @@ from functools import partial, wraps
 from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.sensors.randomness import Stream
-
-Array = NDArray[np.float64]
 
 Rng = np.random.Generator | Stream  # where chance comes from
 
@@ -36,7 +35,7 @@ class Corruption(NamedTuple, Generic[State]):
     """
 
     init: Callable[[tuple[int, ...], Rng], State]
-    apply: Callable[[Array, State, Rng, float], tuple[Array, State]]
+    apply: Callable[[Floats, State, Rng, float], tuple[Floats, State]]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return getattr(self.init, "built_by", (Corruption, tuple(self)))
@@ -54,9 +53,9 @@ def device(build: Callable[Arguments, Corruption[State]]) -> Callable[Arguments,
     return make
 
 
-def limit(reading: ArrayLike, low: Any, high: Any) -> Array:
+def limit(reading: ArrayLike, low: Any, high: Any) -> Floats:
     """Clip readings to a range: cheaper than ``clip`` on small arrays."""
-    limited: Array = np.minimum(np.maximum(reading, low), high)
+    limited: Floats = np.minimum(np.maximum(reading, low), high)
     return limited
 
 
@@ -68,13 +67,13 @@ def check_channels(shape: tuple[int, ...], channels: int) -> None:
         )
 
 
-def stateless(function: Callable[[Array, Rng, float], Array]) -> Corruption[tuple[()]]:
+def stateless(function: Callable[[Floats, Rng, float], Floats]) -> Corruption[tuple[()]]:
     """Make a corruption of ``function(reading, rng, dt)``, which remembers nothing."""
 
     def init(shape: tuple[int, ...], rng: Rng) -> tuple[()]:
         return ()
 
-    def apply(reading: Array, state: tuple[()], rng: Rng, dt: float) -> tuple[Array, tuple[()]]:
+    def apply(reading: Floats, state: tuple[()], rng: Rng, dt: float) -> tuple[Floats, tuple[()]]:
         return function(reading, rng, dt), state
 
     return Corruption(init, apply)
@@ -91,7 +90,7 @@ def parts(kind: type[State], on: Mapping[str, Corruption[Any]]) -> Corruption[St
         started: State = off._replace(**{name: part.init(shape, rng) for name, part in on.items()})
         return started
 
-    def apply(reading: Array, state: State, rng: Rng, dt: float) -> tuple[Array, State]:
+    def apply(reading: Floats, state: State, rng: Rng, dt: float) -> tuple[Floats, State]:
         after = {}
         for name, part in on.items():
             reading, after[name] = part.apply(reading, getattr(state, name), rng, dt)
@@ -117,7 +116,7 @@ def chain(*corruptions: Corruption[Any]) -> Corruption[tuple[Any, ...]]:
     def init(shape: tuple[int, ...], rng: Rng) -> tuple[Any, ...]:
         return tuple(stage.init(shape, rng) for stage in corruptions)
 
-    def apply(reading: Array, state: tuple[Any, ...], rng: Rng, dt: float) -> tuple[Array, tuple[Any, ...]]:
+    def apply(reading: Floats, state: tuple[Any, ...], rng: Rng, dt: float) -> tuple[Floats, tuple[Any, ...]]:
         states = []
         for stage, stage_state in zip(corruptions, state, strict=True):
             reading, stage_state = stage.apply(reading, stage_state, rng, dt)

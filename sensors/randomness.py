@@ -18,6 +18,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.native import SENSORS
 
 AHEAD = 256  # blocks that are made at a time where there is no library
@@ -35,18 +36,18 @@ def philox(counter: NDArray[np.uint32], key: NDArray[np.uint32]) -> NDArray[np.u
     return np.stack([a, b, c, d], axis=1).astype(np.uint32)
 
 
-def _uniforms(key: Any, number: NDArray[np.uint64]) -> NDArray[np.float64]:
+def _uniforms(key: Any, number: NDArray[np.uint64]) -> Floats:
     """Return the two uniform numbers of each of N blocks, shape (N, 2)."""
     half, low = np.uint64(32), np.uint64(0xFFFFFFFF)
     nothing = np.zeros_like(number)
     counter = np.stack([number & low, number >> half, nothing, nothing], axis=1).astype(np.uint32)
     words = philox(counter, np.array([key & low, key >> half], dtype=np.uint32)).astype(np.float64)
     high, rest = np.floor(words[:, ::2] / 2.0**5), np.floor(words[:, 1::2] / 2.0**6)
-    drawn: NDArray[np.float64] = (high * 2.0**26 + rest) / 2.0**53
+    drawn: Floats = (high * 2.0**26 + rest) / 2.0**53
     return drawn
 
 
-def _normals(uniforms: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normals(uniforms: Floats) -> Floats:
     """Return two normal numbers for two uniform ones, shape (N, 2)."""
     # Gaps between numbers would change how NumPy rounds.
     first, second = np.ascontiguousarray(uniforms.T)
@@ -69,8 +70,8 @@ class Stream:
     """The key and the number of the next block, fields ``key`` and ``count``, shape (): the whole state, as C
     has it."""
     _first: int
-    _uniform: NDArray[np.float64]
-    _normal: NDArray[np.float64]
+    _uniform: Floats
+    _normal: Floats
 
     def __init__(self, key: int | np.uint64) -> None:
         self.record = np.zeros((), dtype=[("key", np.uint64), ("count", np.uint64)])
@@ -88,15 +89,15 @@ class Stream:
         """Where :attr:`record` lies in memory."""
         return self._address
 
-    def random(self, shape: tuple[int, ...] = ()) -> NDArray[np.float64]:
+    def random(self, shape: tuple[int, ...] = ()) -> Floats:
         """Draw from [0, 1), numbers of a shape."""
         return self._draw(shape, False)
 
-    def standard_normal(self, shape: tuple[int, ...] = ()) -> NDArray[np.float64]:
+    def standard_normal(self, shape: tuple[int, ...] = ()) -> Floats:
         """Draw standard normal numbers of a shape."""
         return self._draw(shape, True)
 
-    def _draw(self, shape: tuple[int, ...], normal: bool) -> NDArray[np.float64]:
+    def _draw(self, shape: tuple[int, ...], normal: bool) -> Floats:
         library = SENSORS.installed()
         if library is None:
             return self._next(prod(shape), normal).reshape(shape)
@@ -104,7 +105,7 @@ class Stream:
         library.functions.surefoot_draw(self._address, normal, out.size, out.ctypes.data)
         return out
 
-    def _next(self, total: int, normal: bool) -> NDArray[np.float64]:
+    def _next(self, total: int, normal: bool) -> Floats:
         """Return the next numbers in Python, of blocks that are made many at a time."""
         at, blocks = int(self.record["count"]), (total + 1) // 2
         start = 2 * (at - self._first)
@@ -129,15 +130,13 @@ class Stream:
         self._settle()
 
 
-def normal(rng: np.random.Generator | Stream, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def normal(rng: np.random.Generator | Stream, shape: tuple[int, ...]) -> Floats:
     """Draw standard normal numbers of a shape from a stream or a NumPy generator; TypeError for another."""
     _check(rng)
     return rng.standard_normal(shape)
 
 
-def uniform(
-    rng: np.random.Generator | Stream, low: float, high: float, shape: tuple[int, ...]
-) -> NDArray[np.float64]:
+def uniform(rng: np.random.Generator | Stream, low: float, high: float, shape: tuple[int, ...]) -> Floats:
     """Draw numbers uniformly from [low, high); arguments as for :func:`normal`."""
     _check(rng)
     drawn = rng.random(shape)

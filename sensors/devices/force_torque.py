@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import (
     Error,
     ErrorField,
@@ -35,7 +35,7 @@ from surefoot.sensors.configuration import (
     check_fields,
     require,
 )
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
+from surefoot.sensors.corruption import Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import normal
 from surefoot.sensors.stages.affine import PER_SQRT_MINUTE
 from surefoot.sensors.transport.wire import DIRECT, Wire, wire
@@ -143,12 +143,12 @@ class ForceTorque:
         return self.resolution_force > 0.0
 
     @property
-    def full_scale(self) -> NDArray[np.float64]:
+    def full_scale(self) -> Floats:
         """Largest component along each channel in N and N m, shape (K,)."""
         return self._per_channel(self.full_scale_force, self.full_scale_torque)
 
     @property
-    def slope(self) -> NDArray[np.float64]:
+    def slope(self) -> Floats:
         """Nominal counts per N and N m, shape (K,)."""
         if not self.converts:
             return np.ones(self.channels)
@@ -160,7 +160,7 @@ class ForceTorque:
         return 0.0
 
     @property
-    def code_range(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def code_range(self) -> tuple[Floats, Floats]:
         """Lowest and highest reading in counts, each of shape (K,)."""
         most = np.floor(self.full_scale * self.slope) if self.converts else np.full(self.channels, np.inf)
         return -most, most
@@ -179,26 +179,26 @@ class ForceTorque:
         return self.wire.delay
 
     @property
-    def nominal_scale(self) -> NDArray[np.float64]:
+    def nominal_scale(self) -> Floats:
         """N and N m per count by the maker's matrix, shape (K,)."""
         return 1.0 / self.slope
 
     @property
-    def nominal_matrix(self) -> NDArray[np.float64]:
+    def nominal_matrix(self) -> Floats:
         """The maker's matrix in N and N m per count, which knows of no error, shape (sensors, 6, 6)."""
         return np.stack([np.diag(part) for part in self.nominal_scale.reshape(self.sensors, AXES)])
 
-    def _per_channel(self, force: float, torque: float) -> NDArray[np.float64]:
+    def _per_channel(self, force: float, torque: float) -> Floats:
         return np.tile(per_axis(force, torque), self.sensors)
 
 
 class ForceTorqueState(NamedTuple):
     """Sensors in use."""
 
-    error: Array
+    error: Floats
     """E, relative errors of the scales on the diagonal and cross-talk in shares of the full scales beside it
     (row: the channel that reads, column: the load), shape (sensors, 6, 6)."""
-    offset: Array  # z in N and N m, shape (sensors, 6)
+    offset: Floats  # z in N and N m, shape (sensors, 6)
     wire: Any = ()  # state of the wire; ``()`` where nothing happens to codes
 
 
@@ -230,7 +230,9 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
         offset = offset_std * normal(rng, (config.sensors, AXES))
         return ForceTorqueState(error, offset, way.init(shape, rng) if way else ())
 
-    def apply(wrench: Array, state: ForceTorqueState, rng: Rng, dt: float) -> tuple[Array, ForceTorqueState]:
+    def apply(
+        wrench: Floats, state: ForceTorqueState, rng: Rng, dt: float
+    ) -> tuple[Floats, ForceTorqueState]:
         of_scale, of_offset, of_noise = normal(rng, (3, *state.offset.shape))
         error = state.error + (scale_walk * dt**0.5) * of_scale[:, :, None] * eye
         offset = state.offset + dt**0.5 * offset_walk * of_offset
@@ -247,7 +249,7 @@ def force_torque(config: ForceTorque) -> Corruption[ForceTorqueState]:
     return Corruption(init, apply)
 
 
-def true_matrix(config: ForceTorque, state: ForceTorqueState) -> tuple[Array, Array]:
+def true_matrix(config: ForceTorque, state: ForceTorqueState) -> tuple[Floats, Floats]:
     """Return the map that would undo the sensors' errors at this moment: the true wrench is C (s - o).
 
     C is in N and N m per count, shape (sensors, 6, 6), and o in counts, shape (sensors, 6).
@@ -256,12 +258,12 @@ def true_matrix(config: ForceTorque, state: ForceTorqueState) -> tuple[Array, Ar
     return np.linalg.inv(np.eye(AXES) + state.error * full_scale_ratio(config)) / slope, state.offset * slope
 
 
-def full_scale_ratio(config: ForceTorque) -> NDArray[np.float64]:
+def full_scale_ratio(config: ForceTorque) -> Floats:
     """Return factors that turn E into D E D^-1: full scale of the row by that of the column, shape (6, 6)."""
     full = config.full_scale[:AXES]
     return full[:, None] / full
 
 
-def per_axis(force: float, torque: float) -> NDArray[np.float64]:
+def per_axis(force: float, torque: float) -> Floats:
     """Return a number for each axis, shape (6,), of those of forces and of torques."""
     return np.repeat([force, torque], 3)

@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import Error, NotNegative, check_fields
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
+from surefoot.sensors.corruption import Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import normal
 
 NO_STEP = 2.0**-60
@@ -74,7 +75,7 @@ class Imu:
 class ImuState(NamedTuple):
     """An IMU in use."""
 
-    bias: Array  # (ax, ay, az) in m/s^2 and (wx, wy, wz) in rad/s, shape (6,)
+    bias: Floats  # (ax, ay, az) in m/s^2 and (wx, wy, wz) in rad/s, shape (6,)
     matrix: Any = ()
     """Readings of the accelerometers and the gyroscopes of the three components (row: the sensor, column: the
     component), shape (2, 3, 3), constant from power-up; ``()`` for axes that are right."""
@@ -111,7 +112,7 @@ def imu(config: Imu) -> Corruption[ImuState]:
         bias = bias_std * normal(rng, shape)
         return ImuState(bias, axes + spread * normal(rng, (2, 3, 3)) if skewed else ())
 
-    def apply(reading: Array, state: ImuState, rng: Rng, dt: float) -> tuple[Array, ImuState]:
+    def apply(reading: Floats, state: ImuState, rng: Rng, dt: float) -> tuple[Floats, ImuState]:
         of_walk, of_noise = normal(rng, (2, 6))
         bias = state.bias + dt**0.5 * walk * of_walk
         felt = (state.matrix * reading.reshape(2, 1, 3)).sum(axis=2).ravel() if skewed else reading

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import (
     Bits,
     Error,
@@ -182,18 +182,18 @@ class LoadCells:
         return self.input_noise * self.adc_gain * 2.0**self.adc_bits / self.excitation
 
     @property
-    def slope(self) -> NDArray[np.float64]:
+    def slope(self) -> Floats:
         """Nominal counts per newton with their signs, k, shape (K,)."""
         signs = np.array(self.polarity * (self.channels // len(self.polarity)), dtype=np.float64)
         return signs * self.counts_per_newton
 
     @property
-    def nominal_scale(self) -> NDArray[np.float64]:
+    def nominal_scale(self) -> Floats:
         """N per count by the data sheet, c_0, shape (K,)."""
         return 1.0 / self.slope
 
     @property
-    def nominal_offset(self) -> NDArray[np.float64]:
+    def nominal_offset(self) -> Floats:
         """N at code zero by the data sheet, d_0, shape (K,): the load is c_0 s + d_0."""
         return -self.zero_code / self.slope
 

@@ -19,9 +19,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit, stateless
+from surefoot.arrays import Floats
+from surefoot.sensors.corruption import Corruption, Rng, check_channels, device, limit, stateless
 from surefoot.sensors.devices.load_cell_config import LoadCells
 from surefoot.sensors.randomness import normal
 from surefoot.sensors.stages.clock import (
@@ -43,14 +43,14 @@ from surefoot.sensors.transport.wire import wire
 class LoadCellState(NamedTuple):
     """Load cells in use."""
 
-    period: Array  # time between conversions in s, shape (K,); constant from power-up
-    due: Array  # time to the next conversion in s, shape (K,)
-    charge: Array  # integral of the load since the last conversion up to now in N s, shape (K,)
-    held: Array  # the last conversion in counts, shape (K,); NaN before the first
-    error: Array
+    period: Floats  # time between conversions in s, shape (K,); constant from power-up
+    due: Floats  # time to the next conversion in s, shape (K,)
+    charge: Floats  # integral of the load since the last conversion up to now in N s, shape (K,)
+    held: Floats  # the last conversion in counts, shape (K,); NaN before the first
+    error: Floats
     """The drifting errors, shape (2, K): the relative error of the scale (row :data:`SCALE`), and the offset
     of the bridge in N at the nominal scale (row :data:`OFFSET`)."""
-    thermal: Array
+    thermal: Floats
     """For cells that warm up, shape (3, K): the change of the two errors by a kelvin, in 1/K and N/K, and the
     rise of the temperature since power-up in K (row :data:`RISE`); empty, shape (0,), for others."""
     window: Any = ()
@@ -102,7 +102,7 @@ def load_cells(config: LoadCells) -> Corruption[LoadCellState]:
         held, brought = np.full(shape, np.nan), way.init(shape, rng)
         return LoadCellState(period, due, nothing, held, error, thermal, window, felt, brought, shares)
 
-    def apply(block: Array, state: LoadCellState, rng: Rng, dt: float) -> tuple[Array, LoadCellState]:
+    def apply(block: Floats, state: LoadCellState, rng: Rng, dt: float) -> tuple[Floats, LoadCellState]:
         if block.ndim != 2 or block.shape[1] != config.loads:
             raise ValueError(f"Loads must have the shape (S, {config.loads}), got {block.shape}.")
         period, due, charge, held, error, thermal, window, felt, brought, shares = state
@@ -139,12 +139,12 @@ def _way(config: LoadCells) -> Corruption[Any]:
     return wire(config.wire, rated, config.code_range, bits, config.coding) if config.wire.acts else _NOTHING
 
 
-def _converter(config: LoadCells) -> Callable[[Array, Array], Array]:
+def _converter(config: LoadCells) -> Callable[[Floats, Floats], Floats]:
     """Make the converter of bridges in N to counts; its noise is the last row that is drawn."""
     low, high = config.code_range
     noise, slope, zero_code, rounds = config.noise_counts, config.slope, config.zero_code, config.adc_bits > 0
 
-    def convert(bridge: Array, drawn: Array) -> Array:
+    def convert(bridge: Floats, drawn: Floats) -> Floats:
         counts = bridge * slope + zero_code
         if noise:
             counts = counts + noise * drawn[-1]
@@ -165,7 +165,7 @@ class _Errors:
         self._walks = np.array([[config.scale_drift], [config.offset_drift]])
         self.walking = np.flatnonzero(self._walks > 0.0)
 
-    def init(self, shape: tuple[int, ...], rng: Rng) -> tuple[Array, Array]:
+    def init(self, shape: tuple[int, ...], rng: Rng) -> tuple[Floats, Floats]:
         """Draw ``error`` and ``thermal`` of :class:`LoadCellState`."""
         config, warms = self._config, self._config.warms
         # In the order of the single stages: scale, offset, each with its coefficient in cells that warm up.
@@ -176,7 +176,7 @@ class _Errors:
         tempco = drawn[1::2] * [[config.scale_tempco], [config.offset_tempco]]
         return error, np.concatenate([tempco, np.zeros((1, *shape))])
 
-    def drift(self, error: Array, thermal: Array, drawn: Array, dt: float) -> tuple[Array, Array]:
+    def drift(self, error: Floats, thermal: Floats, drawn: Floats, dt: float) -> tuple[Floats, Floats]:
         """Return both after dt, of normal numbers for the errors that walk, in front of ``drawn``."""
         config, walking = self._config, self.walking
         if len(walking):
@@ -190,9 +190,7 @@ class _Errors:
         return error, thermal
 
 
-def static_counts(
-    config: LoadCells, state: LoadCellState, load: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.float64]:
+def static_counts(config: LoadCells, state: LoadCellState, load: Floats, rng: np.random.Generator) -> Floats:
     """Return readings of loads at rest, such as known weights: one conversion each, without drift between.
 
     True loads in N, of one weighing, shape (K,), or several, (N, K), give counts of the same shape. The state
@@ -213,7 +211,7 @@ def static_counts(
         if state.mechanics.nonlinearity:
             load = bent(load, state.mechanics.nonlinearity, config.capacity)
         load = load + offset_shift(config.mechanics, state.mechanics)
-    counts: NDArray[np.float64] = config.zero_code + config.slope * (
+    counts: Floats = config.zero_code + config.slope * (
         (1.0 + state.error[SCALE]) * load + state.error[OFFSET]
     )
     counts += config.noise_counts * rng.standard_normal(load.shape)
@@ -222,7 +220,7 @@ def static_counts(
     return counts
 
 
-def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
+def true_map(config: LoadCells, state: LoadCellState) -> tuple[Floats, Floats]:
     """Return the map that would undo the errors of the cells' scales and offsets at this moment.
 
     The true load is scale * counts + offset, in N per count and N, (K,) each. The effect of impacts and
@@ -237,7 +235,7 @@ def true_map(config: LoadCells, state: LoadCellState) -> tuple[Array, Array]:
     return scale, offset
 
 
-def with_true_map(config: LoadCells, state: LoadCellState, scale: Array, offset: Array) -> LoadCellState:
+def with_true_map(config: LoadCells, state: LoadCellState, scale: Floats, offset: Floats) -> LoadCellState:
     """Return cells whose errors are such that this map, shape (K,) each, undoes them now.
 
     The inverse of :func:`true_map`, for the cells of a robot that known weights have shown; ValueError if an

@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.native import SENSORS, Library, StateRecord, state_dtype
 from surefoot.sensors.corruption import Corruption
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.transport.errors import CODINGS
 from surefoot.sensors.transport.wire import ALONE, Wire, check_wire
-
-Floats = NDArray[np.float64]
 
 
 class Kind(NamedTuple):

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import (
     Error,
     ErrorField,
@@ -191,26 +191,26 @@ class StrainGauges:
         return self.offset_drift_force > 0.0 or self.offset_drift_torque > 0.0
 
     @property
-    def full_scale(self) -> NDArray[np.float64]:
+    def full_scale(self) -> Floats:
         """Largest component along each axis in N and N m, shape (6,)."""
         return per_axis(self.full_scale_force, self.full_scale_torque)
 
     @property
-    def hysteresis_true(self) -> NDArray[np.float64]:
+    def hysteresis_true(self) -> Floats:
         """Amplitudes of the cycles whose ends are read right in shares of the full scales, shape (6,)."""
         return per_axis(self.hysteresis_true_force, self.hysteresis_true_torque) / self.full_scale
 
     @property
-    def nominal_matrix(self) -> NDArray[np.float64]:
+    def nominal_matrix(self) -> Floats:
         """The maker's matrix C in N and N m per count, shape (6, k)."""
         return np.array(self.matrix)
 
     @property
-    def nominal_response(self) -> NDArray[np.float64]:
+    def nominal_response(self) -> Floats:
         """Counts per N and N m by the maker's matrix, A with C A = I, shape (k, 6)."""
         scale = self.full_scale
         # In shares of the full scales, or forces and torques in their units would cost digits.
-        response: NDArray[np.float64] = np.linalg.pinv(self.nominal_matrix / scale[:, None]) / scale
+        response: Floats = np.linalg.pinv(self.nominal_matrix / scale[:, None]) / scale
         return response
 
     @property

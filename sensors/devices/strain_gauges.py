@@ -24,10 +24,10 @@ scales (:mod:`surefoot.sensors.stages.temperature`), and the converter rounds an
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
+from surefoot.sensors.corruption import Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.devices.force_torque import AXES, per_axis
 from surefoot.sensors.devices.strain_gauge_config import StrainGauges
 from surefoot.sensors.randomness import normal, uniform
@@ -48,12 +48,12 @@ SMALLEST_LOOP = 1e-3
 class StrainGaugeState(NamedTuple):
     """A sensor in use."""
 
-    response: Array  # a without the heat in counts per N and N m, shape (k, 6); constant from power-up
-    tempco: Array
+    response: Floats  # a without the heat in counts per N and N m, shape (k, 6); constant from power-up
+    tempco: Floats
     """The change of a gauge by a kelvin, shape (2, k): to its scale, relative, in 1/K (row :data:`SCALE`),
     and to its offset in counts/K (row :data:`OFFSET`); constant from power-up."""
-    offset: Array  # o in counts, with drift and heat, shape (k,)
-    temperature: Array  # rise since power-up in K, shape ()
+    offset: Floats  # o in counts, with drift and heat, shape (k,)
+    temperature: Floats  # rise since power-up in K, shape ()
     creep: CreepState  # the creep of the loads so far
     hysteresis: HysteresisState  # the slacks under the loads so far
     bend: Any = ()  # a ``CoupledState``; ``()`` where the element is linear
@@ -98,7 +98,9 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
         bend = bending.init((AXES,), rng) if bends else ()
         return StrainGaugeState(response @ grown, tempco, offset, np.zeros(()), crept, lagged, bend)
 
-    def apply(wrench: Array, state: StrainGaugeState, rng: Rng, dt: float) -> tuple[Array, StrainGaugeState]:
+    def apply(
+        wrench: Floats, state: StrainGaugeState, rng: Rng, dt: float
+    ) -> tuple[Floats, StrainGaugeState]:
         if wrench.shape != (AXES,):
             raise ValueError(f"A wrench must have the shape ({AXES},), got {wrench.shape}.")
         matrix, tempco, offset, before, crept, lagged, bend = state
@@ -121,8 +123,8 @@ def strain_gauges(config: StrainGauges) -> Corruption[StrainGaugeState]:
 
 
 def _warm(
-    config: StrainGauges, counts: Array, offset: Array, tempco: Array, before: Array, dt: float
-) -> tuple[Array, Array, Array]:
+    config: StrainGauges, counts: Floats, offset: Floats, tempco: Floats, before: Floats, dt: float
+) -> tuple[Floats, Floats, Floats]:
     """Warm a sensor up for dt; return counts by scales of now, offsets and the rise of temperature."""
     if not config.temperature_ramp:
         return counts, offset, before
@@ -131,7 +133,7 @@ def _warm(
     return counts * (1.0 + tempco[SCALE] * temperature), offset, temperature
 
 
-def true_response(config: StrainGauges, state: StrainGaugeState) -> tuple[Array, Array]:
+def true_response(config: StrainGauges, state: StrainGaugeState) -> tuple[Floats, Floats]:
     """Return the map from wrenches to counts at this moment, of a linear element, noise and converter apart.
 
     The reading of w is A w + o, and the map that undoes it w = A^+ (r - o), with A in counts per N and N m,
@@ -156,15 +158,13 @@ def shift_offset(
     return state._replace(offset=state.offset + jump)
 
 
-def gauge_map(config: StrainGauges, force: float, torque: float) -> NDArray[np.float64]:
+def gauge_map(config: StrainGauges, force: float, torque: float) -> Floats:
     """Return the map from k unit errors to counts that C_0 shows as that force and torque, shape (k, k)."""
     response = config.nominal_response
-    image: NDArray[np.float64] = response * per_axis(force, torque)
+    image: Floats = response * per_axis(force, torque)
     if config.channels == AXES:
         return image
     # Beyond what a wrench can cause: as much as there is on average within it.
     beyond = np.linalg.svd(response, full_matrices=True)[0][:, AXES:]
-    whole: NDArray[np.float64] = np.concatenate(
-        [image, np.sqrt(np.square(image).sum() / AXES) * beyond], axis=1
-    )
+    whole: Floats = np.concatenate([image, np.sqrt(np.square(image).sum() / AXES) * beyond], axis=1)
     return whole

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import NotNegative, Positive, check_fields, is_whole, require
-from surefoot.sensors.corruption import Array, Corruption, Rng, check_channels, device, limit
+from surefoot.sensors.corruption import Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import uniform
 
 KINDS = ("dead", "stuck", "saturated", "spiking", "dropped", "swapped", "flipped")
@@ -38,7 +38,7 @@ class Converter(Protocol):
     """The part of an instrument that faults need, such as :class:`~surefoot.sensors.LoadCells`."""
 
     @property
-    def slope(self) -> NDArray[np.float64]:
+    def slope(self) -> Floats:
         """Nominal counts per newton (or N m), shape (K,)."""
 
     @property
@@ -105,11 +105,11 @@ class Fault:
 class FaultState(NamedTuple):
     """Channels with faults."""
 
-    time: Array  # time of the last reading in s, shape (1,)
-    held: Array
+    time: Floats  # time of the last reading in s, shape (1,)
+    held: Floats
     """For each of F faults the last reading of its channel before it in counts, shape (F,); NaN before there
     was any."""
-    lost: Array  # for each of them 1 within a gap and 0 elsewhere, shape (F,)
+    lost: Floats  # for each of them 1 within a gap and 0 elsewhere, shape (F,)
 
 
 @device
@@ -135,7 +135,7 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
         check_channels(shape, len(channels))
         return FaultState(np.zeros(1), np.full(len(faults), np.nan), np.zeros(len(faults)))
 
-    def apply(reading: Array, state: FaultState, rng: Rng, dt: float) -> tuple[Array, FaultState]:
+    def apply(reading: Floats, state: FaultState, rng: Rng, dt: float) -> tuple[Floats, FaultState]:
         now, counts = float(state.time[0] + dt), reading + 0.0
         held, lost = state.held.copy(), np.zeros(len(faults))
         drawn = uniform(rng, 0.0, 1.0, (len(chance), 2)) if chance else ()
@@ -164,12 +164,8 @@ def channel_faults(faults: Sequence[Fault], config: Converter) -> Corruption[Fau
 
 
 def apply_faults(
-    counts: NDArray[np.float64],
-    time: NDArray[np.float64],
-    faults: Sequence[Fault],
-    config: Converter,
-    rng: np.random.Generator,
-) -> NDArray[np.float64]:
+    counts: Floats, time: Floats, faults: Sequence[Fault], config: Converter, rng: np.random.Generator
+) -> Floats:
     """Return a log as the host would have read it with faults.
 
     Args:

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, stateless
+from surefoot.sensors.corruption import Corruption, Rng, stateless
 from surefoot.sensors.randomness import normal
 
 PER_SQRT_MINUTE = 60.0**-0.5
@@ -21,7 +22,7 @@ PER_SQRT_MINUTE = 60.0**-0.5
 class WalkState(NamedTuple):
     """Where a random walk stands."""
 
-    error: Array  # one number a channel, shape (K,)
+    error: Floats  # one number a channel, shape (K,)
 
 
 def scale(value: ArrayLike) -> Corruption[tuple[()]]:
@@ -52,14 +53,16 @@ def drift(initial_std: float = 0.0, density: float = 0.0) -> Corruption[WalkStat
     return _walk(initial_std, density, lambda reading, error: reading + error)
 
 
-def _walk(initial_std: float, density: float, read: Callable[[Array, Array], Array]) -> Corruption[WalkState]:
+def _walk(
+    initial_std: float, density: float, read: Callable[[Floats, Floats], Floats]
+) -> Corruption[WalkState]:
     """Make a corruption of ``read(reading, error)`` with an error that drifts."""
     check_not_negative(initial_std=initial_std, density=density)
 
     def init(shape: tuple[int, ...], rng: Rng) -> WalkState:
         return WalkState(initial_std * normal(rng, shape))
 
-    def apply(reading: Array, state: WalkState, rng: Rng, dt: float) -> tuple[Array, WalkState]:
+    def apply(reading: Floats, state: WalkState, rng: Rng, dt: float) -> tuple[Floats, WalkState]:
         error = state.error
         if density:
             error = error + density * dt**0.5 * normal(rng, error.shape)

@@ -9,19 +9,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_whole
-from surefoot.sensors.corruption import Array, Corruption, Rng, chain, limit
+from surefoot.sensors.corruption import Corruption, Rng, chain, limit
 from surefoot.sensors.randomness import uniform
 
 
 class ClockState(NamedTuple):
     """The clocks of K chips and their last outputs."""
 
-    period: Array  # time between conversions in s, shape (K,); constant from power-up
-    due: Array  # time from now to the next conversion in s, shape (K,)
-    charge: Array
+    period: Floats  # time between conversions in s, shape (K,); constant from power-up
+    due: Floats  # time from now to the next conversion in s, shape (K,)
+    charge: Floats
     """Integral of the signal since the last conversion up to now, in its unit times s, shape (K,)."""
-    held: Array  # the last finished conversion, shape (K,); NaN before the first
+    held: Floats  # the last finished conversion, shape (K,); NaN before the first
     inner: Any  # state of the stages between a signal and its conversion
     window: Any
     """The last conversions (see :func:`settle`), shape (settling, K); ``()`` for a chip that settles at
@@ -29,13 +30,13 @@ class ClockState(NamedTuple):
     converter: Any  # state of the stages after the mean
 
 
-def init_clock(rate: tuple[float, float], shape: tuple[int, ...], rng: Rng) -> tuple[Array, Array]:
+def init_clock(rate: tuple[float, float], shape: tuple[int, ...], rng: Rng) -> tuple[Floats, Floats]:
     """Draw the periods of chips and the times to their first conversions, both in s."""
     period = 1.0 / uniform(rng, rate[0], rate[1], shape)
     return period, uniform(rng, 0.0, 1.0, shape) * period
 
 
-def latest_conversion(period: Array, due: Array, dt: float) -> tuple[Array, Array, Array]:
+def latest_conversion(period: Floats, due: Floats, dt: float) -> tuple[Floats, Floats, Floats]:
     """Return the last conversion of each chip in a block of length dt.
 
     Returns:
@@ -49,8 +50,8 @@ def latest_conversion(period: Array, due: Array, dt: float) -> tuple[Array, Arra
 
 
 def integrate(
-    block: Array, charge: Array, period: Array, number: Array, at: Array, dt: float
-) -> tuple[Array, Array]:
+    block: Floats, charge: Floats, period: Floats, number: Floats, at: Floats, dt: float
+) -> tuple[Floats, Floats]:
     """Average a signal over each chip's last conversion in a block.
 
     Args:
@@ -70,20 +71,20 @@ def integrate(
     sums = np.concatenate([np.zeros_like(block[:1]), np.cumsum(block, axis=0)]) * step
     channels = np.arange(block.shape[1])
 
-    def until(time: Array) -> Array:
+    def until(time: Floats) -> Floats:
         row = np.minimum((time / step).astype(np.intp), len(block) - 1)
-        area: Array = sums[row, channels] + (time - row * step) * block[row, channels]
+        area: Floats = sums[row, channels] + (time - row * step) * block[row, channels]
         return area
 
     finished, total = number >= 0.0, sums[-1]
     end = until(np.maximum(at, 0.0))
     begin = np.where(number >= 1.0, until(np.maximum(at - period, 0.0)), -charge)
     known = finished & ((number >= 1.0) | np.isfinite(charge))
-    mean: Array = np.where(known, (end - begin) / period, total / dt)
+    mean: Floats = np.where(known, (end - begin) / period, total / dt)
     return mean, np.where(finished, total - end, charge + total)
 
 
-def settle(window: Array, signal: Array, number: Array, most: int) -> tuple[Array, Array]:
+def settle(window: Floats, signal: Floats, number: Floats, most: int) -> tuple[Floats, Floats]:
     """Return the mean of the last conversions of chips; a block has any number of new ones.
 
     Of several conversions in one block only the last one's signal is known; the others are taken on the
@@ -168,7 +169,7 @@ def sample_and_hold(
             converter.init(shape, rng),
         )
 
-    def apply(block: Array, state: ClockState, rng: Rng, dt: float) -> tuple[Array, ClockState]:
+    def apply(block: Floats, state: ClockState, rng: Rng, dt: float) -> tuple[Floats, ClockState]:
         period, due, charge, held = state[:4]
         number, at, due = latest_conversion(period, due, dt)
         mean, charge = integrate(block, charge, period, number, at, dt)

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, limit, stateless
+from surefoot.sensors.corruption import Corruption, Rng, limit, stateless
 from surefoot.sensors.randomness import normal
 
 
@@ -11,7 +12,7 @@ def white_noise(std: float) -> Corruption[tuple[()]]:
     """Add independent normal noise of a standard deviation to every reading; 0 draws nothing."""
     check_not_negative(std=std)
 
-    def add(reading: Array, rng: Rng, dt: float) -> Array:
+    def add(reading: Floats, rng: Rng, dt: float) -> Floats:
         if std == 0.0:
             return reading + 0.0
         return reading + std * normal(rng, reading.shape)
@@ -30,11 +31,11 @@ def quantize(resolution: float) -> Corruption[tuple[()]]:
     """Round readings to whole multiples of a resolution (halves to even); 0 leaves them as they are."""
     check_not_negative(resolution=resolution)
 
-    def round_to(reading: Array, rng: Rng, dt: float) -> Array:
+    def round_to(reading: Floats, rng: Rng, dt: float) -> Floats:
         if resolution == 0.0:
             return reading + 0.0
         whole = resolution == 1.0
-        rounded: Array = np.rint(reading) if whole else np.rint(reading / resolution) * resolution
+        rounded: Floats = np.rint(reading) if whole else np.rint(reading / resolution) * resolution
         return rounded
 
     return stateless(round_to)

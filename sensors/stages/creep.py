@@ -15,14 +15,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import require
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Corruption, Rng
 
 
 class CreepState(NamedTuple):
     """How far a spring element has yielded."""
 
-    yielded: Array
+    yielded: Floats
     """The loads that each exponential has followed so far, in the unit of the readings, shape (J, K)."""
 
 
@@ -65,7 +66,7 @@ def creep(shares: Sequence[float], time_constants: Sequence[float]) -> Corruptio
     def init(shape: tuple[int, ...], rng: Rng) -> CreepState:
         return CreepState(np.zeros((count, *shape)))
 
-    def apply(reading: Array, state: CreepState, rng: Rng, dt: float) -> tuple[Array, CreepState]:
+    def apply(reading: Floats, state: CreepState, rng: Rng, dt: float) -> tuple[Floats, CreepState]:
         if not count:
             return reading + 0.0, state
         yielded, read = [], reading

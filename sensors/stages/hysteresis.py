@@ -25,19 +25,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Corruption, Rng
 
 
 class HysteresisState(NamedTuple):
     """The memory of a spring element."""
 
-    plays: Array
+    plays: Floats
     """Where each slack stands in shares of the full scale, the widest first, shape (P, K); zero for an
     element that was never loaded. No plays, P = 0, where there is no hysteresis."""
 
 
-def halving_slacks(share: float, smallest: float, true_at: ArrayLike = 1.0) -> tuple[Array, Array]:
+def halving_slacks(share: float, smallest: float, true_at: ArrayLike = 1.0) -> tuple[Floats, Floats]:
     """Return the half-widths of the slacks in shares of the full scale, and the slope in excess of one.
 
     Arguments are those of :func:`hysteresis`.
@@ -95,7 +96,7 @@ def hysteresis(
     def init(shape: tuple[int, ...], rng: Rng) -> HysteresisState:
         return HysteresisState(np.zeros((count, *shape)))
 
-    def apply(reading: Array, state: HysteresisState, rng: Rng, dt: float) -> tuple[Array, HysteresisState]:
+    def apply(reading: Floats, state: HysteresisState, rng: Rng, dt: float) -> tuple[Floats, HysteresisState]:
         if not count:
             return reading + 0.0, state
         plays = state.plays

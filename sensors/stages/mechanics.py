@@ -12,8 +12,9 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import Error, ErrorField, NotNegative, Positive, check_fields, require
-from surefoot.sensors.corruption import Array, Corruption, Rng, parts
+from surefoot.sensors.corruption import Corruption, Rng, parts
 from surefoot.sensors.stages.creep import check_creep, creep
 from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mounting import WARP, mounting
@@ -128,15 +129,15 @@ def mechanics(config: Mechanics, capacity: float) -> Corruption[MechanicsState]:
         on["overload"] = overload(config.overload_share, config.safe_overload * capacity)
     elements = parts(MechanicsState, on)
 
-    def apply(load: Array, state: MechanicsState, rng: Rng, dt: float) -> tuple[Array, MechanicsState]:
+    def apply(load: Floats, state: MechanicsState, rng: Rng, dt: float) -> tuple[Floats, MechanicsState]:
         return elements.apply(np.where(np.isfinite(load), load, np.nan), state, rng, dt)
 
     return Corruption(elements.init, apply)
 
 
-def offset_shift(config: Mechanics, state: MechanicsState) -> Array | float:
+def offset_shift(config: Mechanics, state: MechanicsState) -> Floats | float:
     """Return the change of offsets by impacts and overloads in N, shape (K,); 0.0 without."""
-    offset: Array | float = 0.0
+    offset: Floats | float = 0.0
     if state.mounting:
         offset = offset + state.mounting.offset
     if state.overload:

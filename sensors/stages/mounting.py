@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Corruption, Rng
 from surefoot.sensors.randomness import normal
 
 WARP = (1, -1, -1, 1)  # signs of the warp for (front-left, front-right, rear-left, rear-right)
@@ -26,9 +27,9 @@ WARP = (1, -1, -1, 1)  # signs of the warp for (front-left, front-right, rear-le
 class MountingState(NamedTuple):
     """The mounting of F feet of four cells."""
 
-    offset: Array  # the change of each offset by impacts, in the unit of the readings, shape (4 F,)
-    load: Array  # each foot's load at the last reading, shape (F,); NaN before the first
-    impact: Array  # for each foot 1 while its load goes on changing that fast and 0 elsewhere, shape (F,)
+    offset: Floats  # the change of each offset by impacts, in the unit of the readings, shape (4 F,)
+    load: Floats  # each foot's load at the last reading, shape (F,); NaN before the first
+    impact: Floats  # for each foot 1 while its load goes on changing that fast and 0 elsewhere, shape (F,)
 
 
 def mounting(threshold: float, warp_std: float, common_std: float = 0.0) -> Corruption[MountingState]:
@@ -54,7 +55,7 @@ def mounting(threshold: float, warp_std: float, common_std: float = 0.0) -> Corr
         feet = shape[0] // cells
         return MountingState(np.zeros(shape), np.full(feet, np.nan), np.zeros(feet))
 
-    def apply(reading: Array, state: MountingState, rng: Rng, dt: float) -> tuple[Array, MountingState]:
+    def apply(reading: Floats, state: MountingState, rng: Rng, dt: float) -> tuple[Floats, MountingState]:
         offset, before, impact = state
         load = reading.reshape(-1, cells).sum(axis=1)
         lost = ~np.isfinite(load)

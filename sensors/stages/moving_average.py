@@ -13,14 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_whole
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Corruption, Rng
 
 
 class MovingAverageState(NamedTuple):
     """The state of a filter."""
 
-    window: Array
+    window: Floats
     """The n - 1 readings before, the oldest first, shape (n - 1, K); NaN before the first, which then counts
     as having been there for ever."""
 
@@ -53,8 +54,8 @@ def moving_average(count: int) -> Corruption[MovingAverageState]:
         return MovingAverageState(np.full((count - 1, *shape), np.nan))
 
     def apply(
-        reading: Array, state: MovingAverageState, rng: Rng, dt: float
-    ) -> tuple[Array, MovingAverageState]:
+        reading: Floats, state: MovingAverageState, rng: Rng, dt: float
+    ) -> tuple[Floats, MovingAverageState]:
         if count == 1:
             return reading + 0.0, state
         window, came = state.window, np.isfinite(reading)

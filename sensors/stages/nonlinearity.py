@@ -20,8 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, limit, stateless
+from surefoot.sensors.corruption import Corruption, Rng, limit, stateless
 from surefoot.sensors.randomness import uniform
 
 CUBIC_PEAK = 1.5 * 3.0**0.5  # one over the largest value of u (1 - u^2) between 0 and 1
@@ -62,7 +63,7 @@ def nonlinearity(quadratic: ArrayLike, cubic: ArrayLike, full_scale: ArrayLike) 
         )
     first, second = a * scale, b * scale
 
-    def bend(reading: Array, rng: Rng, dt: float) -> Array:
+    def bend(reading: Floats, rng: Rng, dt: float) -> Floats:
         u = limit(reading / scale, -1.0, 1.0)
         return reading + u * (1.0 - u) * (first + second * (1.0 + u))
 
@@ -72,7 +73,7 @@ def nonlinearity(quadratic: ArrayLike, cubic: ArrayLike, full_scale: ArrayLike) 
 class NonlinearityState(NamedTuple):
     """Nonlinearity of the channels."""
 
-    quadratic: Array
+    quadratic: Floats
     """Departure at half of the full scale in shares of it, shape (K,); constant from power-up."""
 
 
@@ -90,25 +91,25 @@ def random_nonlinearity(most: float, full_scale: ArrayLike) -> Corruption[Nonlin
         return NonlinearityState(uniform(rng, -most, most, shape))
 
     def apply(
-        reading: Array, state: NonlinearityState, rng: Rng, dt: float
-    ) -> tuple[Array, NonlinearityState]:
+        reading: Floats, state: NonlinearityState, rng: Rng, dt: float
+    ) -> tuple[Floats, NonlinearityState]:
         return bent(reading, state, scale), state
 
     return Corruption(init, apply)
 
 
-def bent(reading: Array, state: NonlinearityState, full_scale: Array | float) -> Array:
+def bent(reading: Floats, state: NonlinearityState, full_scale: Floats | float) -> Floats:
     """Apply :func:`random_nonlinearity` to readings, shape (K,) or (N, K)."""
     u = limit(reading / full_scale, -1.0, 1.0)
-    off: Array = (4.0 * state.quadratic * full_scale) * (u - u * u)
+    off: Floats = (4.0 * state.quadratic * full_scale) * (u - u * u)
     return reading + off
 
 
 class CoupledState(NamedTuple):
     """Nonlinearity of axes that feel each other; constant from power-up."""
 
-    cubic: Array  # departure of each axis at 0.577 of its full scale in shares of it, shape (K,)
-    cross: Array
+    cubic: Floats  # departure of each axis at 0.577 of its full scale in shares of it, shape (K,)
+    cross: Floats
     """Departure of each axis where two others are at their full scales, in shares of its own, shape (K, K,
     K); zero but for j < k."""
 
@@ -143,7 +144,7 @@ def cross_nonlinearity(cubic: float, cross: float, full_scale: ArrayLike) -> Cor
         products = uniform(rng, -cross, cross, (*shape, axes, axes))
         return CoupledState(terms, products * pairs)
 
-    def apply(reading: Array, state: CoupledState, rng: Rng, dt: float) -> tuple[Array, CoupledState]:
+    def apply(reading: Floats, state: CoupledState, rng: Rng, dt: float) -> tuple[Floats, CoupledState]:
         u = limit(reading / scale, -1.0, 1.0)
         off = CUBIC_PEAK * state.cubic * (u - u * u * u) + state.cross @ u @ u
         return reading + scale * off, state

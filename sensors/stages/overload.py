@@ -16,14 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng, limit
+from surefoot.sensors.corruption import Corruption, Rng, limit
 
 
 class OverloadState(NamedTuple):
     """How far spring elements were loaded beyond the safe limit."""
 
-    excess: Array
+    excess: Floats
     """Largest excess so far of pressing (positive) and of pulling (negative) loads over the safe ones in the
     unit of the readings, shape (2, K)."""
 
@@ -52,7 +53,7 @@ def overload(share: float, safe: ArrayLike) -> Corruption[OverloadState]:
     def init(shape: tuple[int, ...], rng: Rng) -> OverloadState:
         return OverloadState(np.zeros((2, *shape)))
 
-    def apply(reading: Array, state: OverloadState, rng: Rng, dt: float) -> tuple[Array, OverloadState]:
+    def apply(reading: Floats, state: OverloadState, rng: Rng, dt: float) -> tuple[Floats, OverloadState]:
         highest, lowest = state.excess
         excess = reading - limit(reading, -limits, limits)
         # What is not finite is neither more nor less.

@@ -9,14 +9,15 @@ with shares :math:`k` that are constant from power-up, each cell its own. No map
 a walking robot it looks like a change of the offset that comes with every step.
 """
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Corruption, Rng
 from surefoot.sensors.randomness import normal
 
 AXES = 3  # forces on a cell along the sole's z, x and y, in this order
 
 
-def shear(std: float) -> Corruption[Array]:
+def shear(std: float) -> Corruption[Floats]:
     """Read cells that feel three forces, shape (..., 3 K): all vertical ones first, then along x, then y.
 
     The state are the shares k of x and y, shape (2, K), newtons reported per newton, with a standard
@@ -29,18 +30,18 @@ def shear(std: float) -> Corruption[Array]:
     """
     check_not_negative(std=std)
 
-    def init(shape: tuple[int, ...], rng: Rng) -> Array:
-        share: Array = std * normal(rng, (AXES - 1, *shape))
+    def init(shape: tuple[int, ...], rng: Rng) -> Floats:
+        share: Floats = std * normal(rng, (AXES - 1, *shape))
         return share
 
-    def apply(reading: Array, state: Array, rng: Rng, dt: float) -> tuple[Array, Array]:
+    def apply(reading: Floats, state: Floats, rng: Rng, dt: float) -> tuple[Floats, Floats]:
         return mix(reading, state), state
 
     return Corruption(init, apply)
 
 
-def mix(load: Array, share: Array) -> Array:
+def mix(load: Floats, share: Floats) -> Floats:
     """Return the forces, shape (..., K), that cells of the shares k, (2, K), take for vertical ones."""
     K = share.shape[-1]
-    found: Array = load[..., :K] + share[0] * load[..., K : 2 * K] + share[1] * load[..., 2 * K :]
+    found: Floats = load[..., :K] + share[0] * load[..., K : 2 * K] + share[1] * load[..., 2 * K :]
     return found

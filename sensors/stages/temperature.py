@@ -11,20 +11,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_not_negative
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Corruption, Rng
 from surefoot.sensors.randomness import normal
 
 
 class ThermalState(NamedTuple):
     """A channel that drifts and warms up."""
 
-    error: Array  # its error now, shape (K,)
-    tempco: Array  # its change by a kelvin, shape (K,); constant from power-up
-    temperature: Array  # rise since power-up in K, shape (K,)
+    error: Floats  # its error now, shape (K,)
+    tempco: Floats  # its change by a kelvin, shape (K,); constant from power-up
+    temperature: Floats  # rise since power-up in K, shape (K,)
 
 
-def temperature_rise(temperature: Array, ramp: float, rise: float, dt: float) -> Array:
+def temperature_rise(temperature: Floats, ramp: float, rise: float, dt: float) -> Floats:
     """Return the rise of a device's temperature since power-up in K, ``dt`` s after it was ``temperature``.
 
     It rises by ``ramp`` in K/s at power-up and levels off at ``rise`` in K, or at 0 never.
@@ -59,7 +60,7 @@ def thermal_drift(
         error = initial_std * normal(rng, shape)
         return ThermalState(error, tempco_std * normal(rng, shape), np.zeros(shape))
 
-    def apply(reading: Array, state: ThermalState, rng: Rng, dt: float) -> tuple[Array, ThermalState]:
+    def apply(reading: Floats, state: ThermalState, rng: Rng, dt: float) -> tuple[Floats, ThermalState]:
         error, tempco, before = state
         if density:
             error = error + density * dt**0.5 * normal(rng, error.shape)

@@ -9,8 +9,8 @@ from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.sensors import Corruption, Encoders, Imu, Link, encoders, imu
 from surefoot.sensors.configuration import require
 from surefoot.sensors.corruption import Rng
@@ -77,15 +77,15 @@ class Computer(NamedTuple):
 
     hardware: Hardware  # states of its sensors
     attitude: Attitude  # the computer's belief of its tilt
-    position: NDArray[np.float64]  # the last encoder readings in rad, shape (J,)
-    velocity: NDArray[np.float64]  # their filtered differences in rad/s, shape (J,)
+    position: Floats  # the last encoder readings in rad, shape (J,)
+    velocity: Floats  # their filtered differences in rad/s, shape (J,)
 
 
 class TelemetryState(NamedTuple):
     """The robot's side of the link."""
 
     computer: Computer  # sensors and computer
-    inertial: NDArray[np.float64]  # sum of the IMU's true values since the last packet, shape (6,)
+    inertial: Floats  # sum of the IMU's true values since the last packet, shape (6,)
     substeps: int  # how many are in that sum
     due: float  # time to the next packet in s
     number: int  # number of the next packet
@@ -135,11 +135,7 @@ class Telemetry:
         self.smoothing = velocity_smoothing(encoder_config, self.period)
 
     def init(
-        self,
-        position: NDArray[np.float64],
-        inertial: NDArray[np.float64],
-        rng: Rng,
-        hardware: Hardware | None = None,
+        self, position: Floats, inertial: Floats, rng: Rng, hardware: Hardware | None = None
     ) -> tuple[Packets, TelemetryState]:
         """Switch the robot on at rest, some packets before time 0; without hardware new one is drawn.
 
@@ -160,12 +156,7 @@ class Telemetry:
         return arrived, TelemetryState(computer, np.zeros(6), 0, self.period, self.before_start, under_way)
 
     def advance(
-        self,
-        position: NDArray[np.float64],
-        inertial: NDArray[np.float64],
-        time: float,
-        state: TelemetryState,
-        rng: Rng,
+        self, position: Floats, inertial: Floats, time: float, state: TelemetryState, rng: Rng
     ) -> tuple[Packets, TelemetryState]:
         """Measure a control step that ends at a time of the host in s: packets that have arrived, the state.
 
@@ -200,12 +191,8 @@ class Telemetry:
         return state._replace(computer=state.computer._replace(hardware=hardware))
 
     def _measure(
-        self,
-        position: NDArray[np.float64],
-        inertial: NDArray[np.float64],
-        computer: Computer,
-        rng: Rng,
-    ) -> tuple[NDArray[np.float64], Computer]:
+        self, position: Floats, inertial: Floats, computer: Computer, rng: Rng
+    ) -> tuple[Floats, Computer]:
         """Read the sensors once and fill a packet."""
         (imu_state, encoder_state), attitude, before, velocity = computer
         period = self.period
@@ -221,4 +208,4 @@ class Telemetry:
         return values, Computer(Hardware(imu_state, encoder_state), attitude, angle, velocity)
 
 
-_NOTHING: NDArray[np.float64] = np.zeros(6)
+_NOTHING: Floats = np.zeros(6)

@@ -4,16 +4,14 @@ from math import ceil
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.native import SENSORS, Library, Record, require
 from surefoot.sensors import Encoders, Imu, Link
 from surefoot.sensors.devices.imu import ImuState
 from surefoot.sensors.stages.affine import WalkState
 from surefoot.sensors.telemetry.computer import Hardware, Telemetry
 from surefoot.sensors.transport.link import Packet, Packets
-
-Floats = NDArray[np.float64]
 
 LARGEST_NORMAL = 8.6
 """Standard deviations beyond which no normal number lies that is drawn of 53 bits."""

@@ -37,8 +37,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import check_not_negative, is_whole
-from surefoot.sensors.corruption import Array, Corruption, Rng, limit, stateless
+from surefoot.sensors.corruption import Corruption, Rng, limit, stateless
 from surefoot.sensors.randomness import normal, uniform
 
 CODINGS = ("offset-binary", "two's complement")
@@ -48,13 +49,13 @@ CODINGS = ("offset-binary", "two's complement")
 class RepeatState(NamedTuple):
     """The last output of a reader."""
 
-    held: Array  # shape (K,); NaN before the first
+    held: Floats  # shape (K,); NaN before the first
 
 
 class GapState(NamedTuple):
     """Whether the link is up."""
 
-    lost: Array  # 1 within a gap and 0 elsewhere, shape (1,)
+    lost: Floats  # 1 within a gap and 0 elsewhere, shape (1,)
 
 
 def spikes(
@@ -70,7 +71,7 @@ def spikes(
     if not np.all((sizes >= 0.0) & np.isfinite(sizes)):
         raise ValueError(f"'size' must be finite and not negative, got {size!r}.")
 
-    def add(reading: Array, rng: Rng, dt: float) -> Array:
+    def add(reading: Floats, rng: Rng, dt: float) -> Floats:
         hit = uniform(rng, 0.0, 1.0, reading.shape) < -expm1(-rate * dt)
         off = reading + sizes * normal(rng, reading.shape)
         if code_range is not None:
@@ -110,7 +111,7 @@ def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary
     # A reading adds what the bit is worth where it was 0 and loses it where it was 1.
     worths = places * signs
 
-    def turn_over(reading: Array, rng: Rng, dt: float) -> Array:
+    def turn_over(reading: Floats, rng: Rng, dt: float) -> Floats:
         hit = uniform(rng, 0.0, 1.0, reading.shape) < probability
         which = (uniform(rng, 0.0, 1.0, reading.shape) * bits).astype(np.intp)
         # Halving rounds down, so negative words show the bits of their two's complement.
@@ -132,7 +133,7 @@ def stale_repeats(probability: float) -> Corruption[RepeatState]:
     def init(shape: tuple[int, ...], rng: Rng) -> RepeatState:
         return RepeatState(np.full(shape, np.nan))
 
-    def apply(reading: Array, state: RepeatState, rng: Rng, dt: float) -> tuple[Array, RepeatState]:
+    def apply(reading: Floats, state: RepeatState, rng: Rng, dt: float) -> tuple[Floats, RepeatState]:
         stale = uniform(rng, 0.0, 1.0, (1,)) < probability
         read = np.where(stale & ~np.isnan(state.held), state.held, reading)
         return read, RepeatState(read)
@@ -156,7 +157,7 @@ def burst_gaps(share: float, mean_length: float) -> Corruption[GapState]:
     def init(shape: tuple[int, ...], rng: Rng) -> GapState:
         return GapState((uniform(rng, 0.0, 1.0, (1,)) < share).astype(np.float64))
 
-    def apply(reading: Array, state: GapState, rng: Rng, dt: float) -> tuple[Array, GapState]:
+    def apply(reading: Floats, state: GapState, rng: Rng, dt: float) -> tuple[Floats, GapState]:
         drawn = uniform(rng, 0.0, 1.0, state.lost.shape)
         decayed = -expm1(-dt / (mean_length * (1.0 - share)))
         lost = drawn < state.lost * (1.0 - decayed) + decayed * share

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import Error, Positive, check_fields, require
-from surefoot.sensors.corruption import Array, Corruption, Rng
+from surefoot.sensors.corruption import Corruption, Rng
 from surefoot.sensors.randomness import normal
 
 ROUNDING = 1e-9
@@ -44,9 +44,9 @@ class Link:
 class LatencyState(NamedTuple):
     """The last D readings that were sent, the oldest first."""
 
-    due: Array  # time until each arrives in s, shape (D, 1); 0 or less for one that has
-    readings: Array  # shape (D, K); NaN before the first
-    held: Array  # the last that arrived, shape (K,); NaN before the first
+    due: Floats  # time until each arrives in s, shape (D, 1); 0 or less for one that has
+    readings: Floats  # shape (D, K); NaN before the first
+    held: Floats  # the last that arrived, shape (K,); NaN before the first
 
 
 def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[LatencyState]:
@@ -63,7 +63,7 @@ def latency(delay: float, jitter: float = 0.0, depth: int = 8) -> Corruption[Lat
         readings = np.full((depth, *shape), np.nan)
         return LatencyState(due, readings, np.full(shape, np.nan))
 
-    def apply(reading: Array, state: LatencyState, rng: Rng, dt: float) -> tuple[Array, LatencyState]:
+    def apply(reading: Floats, state: LatencyState, rng: Rng, dt: float) -> tuple[Floats, LatencyState]:
         drawn = jitter * normal(rng, (1,)) + delay
         waiting = state.due - dt
         due = np.maximum(np.maximum(drawn, 0.0), waiting[-1])
@@ -81,15 +81,13 @@ class Packet(NamedTuple):
 
     number: int  # number of the packet since power-up: the robot's own clock
     arrival: float  # when the host has it, in s of the host's clock
-    values: NDArray[np.float64]  # content, shape (C,)
+    values: Floats  # content, shape (C,)
 
 
 Packets = tuple[Packet, ...]  # packets under way, in order: the state of a link
 
 
-def send(
-    values: NDArray[np.float64], number: int, time: float, under_way: Packets, config: Link, rng: Rng
-) -> Packets:
+def send(values: Floats, number: int, time: float, under_way: Packets, config: Link, rng: Rng) -> Packets:
     """Return the packets under way after one more was sent, with a content, (C,), a number and a time.
 
     It leaves at the time in s of the host's clock; jitter comes from ``rng``.

@@ -12,6 +12,7 @@ from typing import Annotated, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.sensors.configuration import (
     Error,
     ErrorField,
@@ -21,7 +22,7 @@ from surefoot.sensors.configuration import (
     check_fields,
     require,
 )
-from surefoot.sensors.corruption import Array, Corruption, Rng, parts
+from surefoot.sensors.corruption import Corruption, Rng, parts
 from surefoot.sensors.transport.errors import burst_gaps, spikes, stale_repeats, wrong_words
 from surefoot.sensors.transport.link import latency
 
@@ -158,7 +159,7 @@ def wire(
         on["latency"] = latency(config.delay, config.jitter, config.under_way)
     links = parts(WireState, on)
 
-    def apply(counts: Array, state: WireState, rng: Rng, dt: float) -> tuple[Array, WireState]:
+    def apply(counts: Floats, state: WireState, rng: Rng, dt: float) -> tuple[Floats, WireState]:
         check_wire(config, dt)
         return links.apply(counts, state, rng, dt)
 
