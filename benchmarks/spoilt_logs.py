@@ -20,8 +20,8 @@ import gymnasium as gym
 import numpy as np
 from rich.console import Console
 
-from surefoot.arrays import stack_rows
-from surefoot.calibration import GRAVITY, Reference
+from surefoot.arrays import stack_rows, take_rows
+from surefoot.calibration import GRAVITY
 from surefoot.calibration.layout import FeetLayout, FootLayout
 from surefoot.calibration.results import Finding
 from surefoot.experiments.logs.format import Log
@@ -249,7 +249,7 @@ def log_of(
         own.step(still if act is None else act(k * setup.dt))
         raw.append(env.raw.copy())
         references.append(own.reference)
-    reference = Reference(*(np.asarray(part)[16:] for part in stack_rows(references)))
+    reference = take_rows(stack_rows(references), slice(16, None))
     time = setup.dt * np.arange(16, len(raw))
     known: Any = {"layout": setup.layout, "mass": setup.mass, "nominal": setup.initial, "dt": setup.dt}
     known |= {

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.arrays import Floats
+from surefoot.arrays import Floats, take_rows
 from surefoot.calibration.cop import cop_of_moments
 from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Spread, first_variance
@@ -213,7 +213,7 @@ class LogPassages:
         state, last = filter_.init(self.raw[0]), None
         blocks = []
         for k, reading in enumerate(self.raw):
-            row = type(reference)(*(np.asarray(part)[k] for part in reference))
+            row = take_rows(reference, k)
             front, sample = filter_.front_end.observe(state.front, reading, row, setup.dt)
             self._force[k], self._rows[k] = sample.force, sample.rows.sum(axis=0)
             state = filter_.blocks.collect(state._replace(front=front), sample, momentum, setup.dt)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.arrays import Floats
+from surefoot.arrays import Floats, take_rows
 from surefoot.calibration.checks import ONE_ROBOT, check_kind, check_value
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.foot_calibrator import FootCalibrator
@@ -80,7 +80,7 @@ def replay(
         learnt_from = _filter_plausible(readings, *front_end.plausible, cutoff, nominal)
         learnt_with = _filter_accelerations(log, cutoff, nominal)
     estimates = [
-        calibrator.update(learnt_from[k], _row(learnt_with, k), float(steps[k]))
+        calibrator.update(learnt_from[k], take_rows(learnt_with, k), float(steps[k]))
         for k in watch(range(len(readings)))
     ]
     if cutoff is not None:
@@ -95,7 +95,7 @@ def _estimate_by_maps(
     """Return the estimates of readings as they are, by maps that were learnt from filtered ones."""
     front, found = front_end.init(readings[0]), []
     for k, one in enumerate(learnt):
-        front, sample = front_end.observe(front, readings[k], _row(log, k), float(steps[k]))
+        front, sample = front_end.observe(front, readings[k], take_rows(log, k), float(steps[k]))
         own = Parameters(one.scale, one.offset).relative_to(front_end.setup.initial)
         estimate = front_end.estimate(sample, *own, covariance=one.covariance)
         found.append(estimate._replace(flags=one.flags | sample.flags))
@@ -132,11 +132,6 @@ def _in_float64(values: Any) -> NDArray[Any]:
     """Return numbers in double precision, which the library takes; booleans stay."""
     array = np.asarray(values)
     return array.astype(np.float64, copy=False) if array.dtype.kind in "fiu" else array
-
-
-def _row(reference: Any, k: int) -> Any:
-    """Return one sample of a log's beliefs."""
-    return type(reference)(*(part[k] for part in reference))
 
 
 def _filter_accelerations(log: Reference | MomentumReference, cutoff: float, dt: float) -> Reference:

@@ -14,6 +14,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import surefoot  # noqa: F401  (registers the environments)
+from surefoot.arrays import stack_rows
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
@@ -168,8 +169,8 @@ class RecordedWalk:
         self.motion = pd.DataFrame(columns)
         self.model = env.beliefs.model
         self.force = np.array(force)
-        self.own = Reference(*(np.array(part) for part in zip(*references, strict=True)))
-        self.momentum = MomentumReference(*(np.array(part) for part in zip(*momenta, strict=True)))
+        self.own = stack_rows(references)
+        self.momentum = stack_rows(momenta)
         self.description = {
             "model": NAO,
             "torso": "torso",

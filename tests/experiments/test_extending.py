@@ -16,12 +16,12 @@ import pytest
 from _logs import run
 from gymnasium.envs.registration import EnvSpec
 
+from surefoot.arrays import take_rows
 from surefoot.calibration import (
     GRAVITY,
     METHODS,
     FootCalibrator,
     OnlineMethod,
-    Reference,
     nao_shoe_layout,
     online,
     register_method,
@@ -139,7 +139,7 @@ def test_a_users_calibrator_goes_by_its_name_where_methods_do(own, log: Log, tmp
     run("calibrate", "walk", path, "--method", name)
     found = pd.read_parquet(tmp_path / "walk.slow-tare.parquet")
     for k in range(2, len(log)):
-        calibrator.update(log.nominal.force(log.raw[k - 2]), row_of(log, k))
+        calibrator.update(log.nominal.force(log.raw[k - 2]), take_rows(log.reference, k))
     assert found["force_left_front_left_N"].iloc[-1] < 0.2 * log.truth.force[-1, 0]
     np.testing.assert_allclose(found["force_right_front_left_N"], log.truth.force[:, 4], atol=1e-6)
     # At an episode start, what its class names is kept.
@@ -148,10 +148,6 @@ def test_a_users_calibrator_goes_by_its_name_where_methods_do(own, log: Log, tmp
     np.testing.assert_array_equal(kept.offset, state.offset)
     assert state.offset[0] < 0.0
     assert not kept.front.known
-
-
-def row_of(log: Log, k: int) -> Reference:
-    return Reference(*(part[k] for part in log.reference))
 
 
 def test_a_users_calibrator_takes_part_in_studies(own):
