@@ -20,7 +20,7 @@ from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.experiments.episodes.episode import row_of_failure
 from surefoot.experiments.logs.bag import guess_topics
-from surefoot.experiments.logs.format import Log, LogTruth
+from surefoot.experiments.logs.format import Log, LogTruth, write_log
 from surefoot.experiments.walks.record import record_walk
 from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -83,6 +83,12 @@ def log() -> Log:
         truth=LogTruth(force, position, R, *(np.tile(part, (SAMPLES, 1)) for part in nominal)),
         about={"speed_m_s": 0.0},
     )
+
+
+@pytest.fixture
+def path(log: Log, tmp_path: Path) -> Path:
+    """Write the log, with its description beside it."""
+    return write_log(log, tmp_path / "walk.csv")
 
 
 @pytest.fixture

@@ -325,10 +325,7 @@ UNITS_OF_REFERENCES = {
 
 
 @pytest.mark.parametrize(("factors", "start", "end"), UNITS_OF_REFERENCES.values(), ids=UNITS_OF_REFERENCES)
-def test_references_in_other_units_are_refused(
-    log: Log, tmp_path: Path, factors: Any, start: str, end: str
-) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_references_in_other_units_are_refused(path: Path, factors: Any, start: str, end: str) -> None:
     table = pd.read_csv(path)
     table.assign(**{name: factor * table[name] for name, factor in factors.items()}).to_csv(path, index=False)
     reason = refusal_of(path)

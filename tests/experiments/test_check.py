@@ -65,8 +65,7 @@ def test_a_channel_that_dies(bad_start: Log, tmp_path: Path, undrawn: None) -> N
     assert (wrong["what"], wrong["since"]) == ("constant", f"{bad_start.time[700]:.6g} s")
 
 
-def test_a_log_that_its_command_cannot_read_is_shown(log: Log, tmp_path: Path, undrawn: None) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_a_log_that_its_command_cannot_read_is_shown(path: Path, undrawn: None) -> None:
     pd.read_csv(path).drop(columns="raw_left_rear_left_count").to_csv(path, index=False)
     found = check(path, 3)
     assert found["tables"]["wrong"]["rows"][0]["what"] == "unreadable"

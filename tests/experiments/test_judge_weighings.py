@@ -229,8 +229,7 @@ def test_a_curve_goes_from_the_weights_to_the_walk(log: Log, tmp_path: Path, und
     )
 
 
-def test_a_description_may_hold_curves(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_a_description_may_hold_curves(log: Log, path: Path) -> None:
     curves = Curves([None] * 7 + [[[7e6, 8e6, 9e6], [7e6, 8.2e6, 9e6]]])
     redescribe(path, curves=curves.as_plain())
     read = read_log(path)

@@ -48,8 +48,7 @@ def test_a_log_survives_the_file(full: Log, tmp_path: Path, name: str) -> None:
     )  # fmt: skip
 
 
-def test_a_log_without_momentum_is_one_of_accelerations(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_a_log_without_momentum_is_one_of_accelerations(path: Path) -> None:
     assert '"momentum_' not in path.read_text().splitlines()[0]
     back = read_log(path)
     assert back.momentum is None
@@ -77,8 +76,7 @@ def test_a_real_robot_has_no_truth(log: Log, tmp_path: Path) -> None:
     assert read_log(path).truth is None
 
 
-def test_extra_columns_are_ignored(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_extra_columns_are_ignored(log: Log, path: Path) -> None:
     pd.read_csv(path).assign(battery_V=21.6).to_csv(path, index=False)
     assert len(read_log(path)) == len(log)
 
@@ -202,14 +200,12 @@ BAD_DESCRIPTIONS: dict[str, tuple[dict[str, object], str]] = {
 
 
 @pytest.mark.parametrize(("change", "message"), BAD_DESCRIPTIONS.values(), ids=BAD_DESCRIPTIONS)
-def test_a_bad_description_is_refused(log: Log, tmp_path: Path, change: Any, message: str) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_a_bad_description_is_refused(path: Path, change: Any, message: str) -> None:
     redescribe(path, **change)
     assert refusal_of(path) == f"walk.csv: {message}"
 
 
-def test_the_places_of_the_cells_say_what_a_foot_is(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_the_places_of_the_cells_say_what_a_foot_is(log: Log, path: Path) -> None:
     description = json.loads(path.with_suffix(".json").read_text())
     feet = [
         {
@@ -227,8 +223,7 @@ def test_the_places_of_the_cells_say_what_a_foot_is(log: Log, tmp_path: Path) ->
     assert "layout: lacks 'position_cell_sole_m', where the load cells of a" in refusal_of(path)
 
 
-def test_feet_that_no_robot_has_are_refused(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_feet_that_no_robot_has_are_refused(path: Path) -> None:
     left = json.loads(path.with_suffix(".json").read_text())["layout"][0]
     redescribe(path, layout=[])
     assert refusal_of(path).startswith("walk.csv: the description: layout: A layout has one foot at least")

@@ -14,8 +14,7 @@ from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 EPOCH = 1_700_000_000_000_000_000  # a moment in ns since 1970
 
 
-def test_other_names_units_and_an_epoch_in_nanoseconds(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_other_names_units_and_an_epoch_in_nanoseconds(log: Log, path: Path) -> None:
     table = pd.read_csv(path)
     table["time_s"] = EPOCH + np.rint(1e9 * table["time_s"]).astype(np.int64)
     for name in table.columns:
@@ -36,8 +35,7 @@ def test_other_names_units_and_an_epoch_in_nanoseconds(log: Log, tmp_path: Path)
         np.testing.assert_allclose(getattr(found.reference, field), expected, atol=1e-9, err_msg=field)
 
 
-def test_times_of_day_are_seconds(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_times_of_day_are_seconds(log: Log, path: Path) -> None:
     table = pd.read_csv(path)
     table["time_s"] = pd.to_datetime(EPOCH + np.rint(1e9 * table["time_s"]).astype(np.int64)).astype(str)
     table.to_csv(path, index=False)
@@ -84,8 +82,7 @@ def mapped(path: Path, text: str) -> str:
     return refusal_of(path)
 
 
-def test_what_the_file_may_not_say(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_what_the_file_may_not_say(log: Log, path: Path, tmp_path: Path) -> None:
     assert mapped(path, "[columns]\ntime_s = 't'").startswith(
         "walk.csv: missing column t; which the TOML file names; there are 'time_s', 'raw_left_"
     )
@@ -108,8 +105,7 @@ def test_what_the_file_may_not_say(log: Log, tmp_path: Path) -> None:
     )
 
 
-def test_a_column_of_another_name_is_shown_the_way(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_a_column_of_another_name_is_shown_the_way(path: Path) -> None:
     pd.read_csv(path).rename(columns={"raw_left_front_left_count": "FL"}).to_csv(path, index=False)
     with pytest.raises(LogError, match=r"there are 'FL'.*: name them under \[columns\] in walk\.toml\."):
         read_log(path)

@@ -169,8 +169,7 @@ def test_a_mass_in_grams_is_named_by_both_commands(bad_start: Log, tmp_path: Pat
     assert "kilonewtons or a mass in grams" in check_log(path).wrong[0].finding.reason
 
 
-def test_a_description_may_lie_beside_a_table_of_pandas(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_a_description_may_lie_beside_a_table_of_pandas(log: Log, path: Path) -> None:
     pd.read_csv(path).to_parquet(path.with_suffix(".parquet"))
     np.testing.assert_allclose(read_log(path.with_suffix(".parquet")).raw, log.raw, rtol=1e-12)
 
@@ -209,8 +208,7 @@ def test_sets_whose_settings_name_columns_alone_are_sets(tmp_path: Path) -> None
     assert read_recording(tmp_path / "arm.csv").kind == "six-axis sensor"
 
 
-def test_columns_with_units_in_their_names_are_listed(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_columns_with_units_in_their_names_are_listed(path: Path) -> None:
     table = pd.read_csv(path)
     table.rename(columns=lambda name: f"{name} [count]" if name.startswith("raw_") else name).to_csv(
         path, index=False
@@ -244,8 +242,7 @@ def test_a_twin_needs_channels_that_follow_their_loads(tmp_path: Path) -> None:
         identify(read_recording(tmp_path / "rig.csv"))
 
 
-def test_options_that_no_log_has_are_refused(log: Log, tmp_path: Path) -> None:
-    path = write_log(log, tmp_path / "walk.csv")
+def test_options_that_no_log_has_are_refused(log: Log, path: Path, tmp_path: Path) -> None:
     for options, message in (
         (
             ["--stand", "9", "--method", "window"],
