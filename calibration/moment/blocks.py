@@ -18,31 +18,18 @@ from surefoot.calibration.setup import OnlineSetup
 
 
 class Block(NamedTuple):
-    """n samples in a row; K channels, F feet.
+    """n samples in a row; K channels, F feet."""
 
-    Attributes:
-        force: F0 in W, shape (n, K).
-        read: Whether it was read (0 or 1), shape (n, K).
-        end: Centre of mass at the ends of the samples' intervals in m, shape (n, 3).
-        com: Centre of mass while they were taken in m, shape (n, 3).
-        velocity: Its velocity at the ends in m/s, shape (n, 3).
-        spin: Angular momentum by the mass there in m^2/s, shape (n, 3).
-        sole: Soles while they were taken in m, shape (n, F, 3).
-        rotation: Their rotations to the axes that do not turn, shape (n, F, 3, 3).
-        swing: Feet surely in the air (0 or 1), the sample before the block first, shape (n + 1, F).
-        dt: Lengths of the intervals in s, shape (n,).
-    """
-
-    force: Array
-    read: Array
-    end: Array
-    com: Array
-    velocity: Array
-    spin: Array
-    sole: Array
-    rotation: Array
-    swing: Array
-    dt: Array
+    force: Array  # F0 in W, shape (n, K)
+    read: Array  # whether it was read (0 or 1), shape (n, K)
+    end: Array  # centre of mass at the ends of the samples' intervals in m, shape (n, 3)
+    com: Array  # centre of mass while they were taken in m, shape (n, 3)
+    velocity: Array  # its velocity at the ends in m/s, shape (n, 3)
+    spin: Array  # angular momentum by the mass there in m^2/s, shape (n, 3)
+    sole: Array  # soles while they were taken in m, shape (n, F, 3)
+    rotation: Array  # their rotations to the axes that do not turn, shape (n, F, 3, 3)
+    swing: Array  # feet surely in the air (0 or 1), the sample before the block first, shape (n + 1, F)
+    dt: Array  # lengths of the intervals in s, shape (n,)
 
     @classmethod
     def of(cls, before: Array, samples: Array, columns: dict[str, slice], feet: int) -> "Block":

@@ -76,24 +76,15 @@ class Columns(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """Variances that are stated of unknowns at the start.
+    """Variances that are stated of unknowns at the start."""
 
-    Attributes:
-        scale: Of scales, shape (K,).
-        offset: Of offsets, shape (K,).
-        talk: Of cross-talk, shape (T,).
-        com: Of the centre of mass in m^2, shape (2,).
-        unit: Units of an offset: 1, or the foot length in m for a torque, shape (K,).
-        walk: Variances that scales (first) and zeros drift by at the stated rate, in 1/s and W^2/s, shape
-            (2, K).
-    """
-
-    scale: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    talk: NDArray[np.float64]
-    com: NDArray[np.float64]
-    unit: NDArray[np.float64]
+    scale: NDArray[np.float64]  # of scales, shape (K,)
+    offset: NDArray[np.float64]  # of offsets, shape (K,)
+    talk: NDArray[np.float64]  # of cross-talk, shape (T,)
+    com: NDArray[np.float64]  # of the centre of mass in m^2, shape (2,)
+    unit: NDArray[np.float64]  # units of an offset: 1, or the foot length in m for a torque, shape (K,)
     walk: NDArray[np.float64]
+    """Variances that scales (first) and zeros drift by at the stated rate, in 1/s and W^2/s, shape (2, K)."""
 
     @classmethod
     def of(cls, setup: OnlineSetup, config: Moment) -> "Spread":

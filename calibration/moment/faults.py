@@ -89,50 +89,33 @@ A load that changes by less than the first shows nothing."""
 
 
 class ChannelState(NamedTuple):
-    """Knowledge of the channels' faults.
+    """Knowledge of the channels' faults."""
 
-    Attributes:
-        last: Last readings that were believed, F0 in N, shape (K,).
-        leaps: Samples in a row that were held for leaping, shape (K,); more than are held where the last one
-            was not read.
-        leapt: How often each channel leapt of late, shape (K,).
-        landed: How often a cell alone of a foot in the air leapt and stayed of late: a landing on a corner.
-        moments: How cells share loads, shape (K, K).
-        lost: Channels that are out (0 or 1), shape (K,).
-        kind: Flags of each channel's faults, shape (K,).
-        wiring: Signed permutation that puts exchanged and turned channels right, shape (K, K).
-        spare: How forces are made of the channels that are not out, shape (K, K).
-        spare_std: Standard deviation of a reconstructed force in N, 0 for others, shape (K,).
-        agreed: Blocks that a lost channel has agreed for, shape (K,).
-        level: Mean of F0 of the last block in body weights, shape (K,).
-        shown: Squared changes of that mean since it was last held against its plate, summed up, shape (K,);
-            -1 before the first block.
-        expected: Those by the other cells of its plate, shape (K,).
-        missed: Momentum that the starting map leaves unexplained, times that of the load that its plate says,
-            summed up, shape (K,).
-        offered: The square of the latter, summed up, shape (K,).
-        alive: Whether it has ever moved with its plate (0 or 1), shape (K,).
-        altered: Whether any channel is or was out, turned or exchanged, 0 or 1.
-    """
-
-    last: Array
+    last: Array  # last readings that were believed, F0 in N, shape (K,)
     leaps: Array
-    leapt: Array
+    """Samples in a row that were held for leaping, shape (K,); more than are held where the last one was not
+    read."""
+    leapt: Array  # how often each channel leapt of late, shape (K,)
     landed: float
-    moments: Array
-    lost: Array
-    kind: Array
-    wiring: Array
-    spare: Array
-    spare_std: Array
-    agreed: Array
-    level: Array
+    """How often a cell alone of a foot in the air leapt and stayed of late: a landing on a corner."""
+    moments: Array  # how cells share loads, shape (K, K)
+    lost: Array  # channels that are out (0 or 1), shape (K,)
+    kind: Array  # flags of each channel's faults, shape (K,)
+    wiring: Array  # signed permutation that puts exchanged and turned channels right, shape (K, K)
+    spare: Array  # how forces are made of the channels that are not out, shape (K, K)
+    spare_std: Array  # standard deviation of a reconstructed force in N, 0 for others, shape (K,)
+    agreed: Array  # blocks that a lost channel has agreed for, shape (K,)
+    level: Array  # mean of F0 of the last block in body weights, shape (K,)
     shown: Array
-    expected: Array
+    """Squared changes of that mean since it was last held against its plate, summed up, shape (K,); -1 before
+    the first block."""
+    expected: Array  # those by the other cells of its plate, shape (K,)
     missed: Array
-    offered: Array
-    alive: Array
-    altered: int
+    """Momentum that the starting map leaves unexplained, times that of the load that its plate says, summed
+    up, shape (K,)."""
+    offered: Array  # the square of the latter, summed up, shape (K,)
+    alive: Array  # whether it has ever moved with its plate (0 or 1), shape (K,)
+    altered: int  # whether any channel is or was out, turned or exchanged, 0 or 1
 
 
 class ChannelFaults:

@@ -30,35 +30,20 @@ _ORDER = ([2, 3, 4], [2, 3, 4, 0, 1, 5])
 
 
 class Rows(NamedTuple):
-    """A block's effect on the momentum, and its measurement; C components, N unknowns.
+    """A block's effect on the momentum, and its measurement; C components, N unknowns."""
 
-    Attributes:
-        mean: The block's mean momentum by the unknowns at its start, shape (C, N).
-        mean_rest: Its constant part, shape (C,).
-        end: The momentum at its end, shape (C, N).
-        end_rest: As above.
-        measured: Measurement of the mean, shape (C,).
-        at_end: Measurement at the block's end, shape (C,).
-        variance: Of the measurement, as stated, shape (C, C).
-        walk: Variance that the block adds to the momentum at its end, shape (C, C).
-        crossed: The block's mean momentum by each channel's place and each channel's F0, shape (C, K, K).
-        lasting: Variance of errors that last longer than a block, as an outside wrench does, shape (C,).
-        point: o in m, shape (3,).
-        height: Of the centre of mass over o in m.
-    """
-
-    mean: Array
-    mean_rest: Array
-    end: Array
-    end_rest: Array
-    measured: Array
-    at_end: Array
-    variance: Array
-    walk: Array
-    crossed: Array
-    lasting: Array
-    point: Array
-    height: float
+    mean: Array  # the block's mean momentum by the unknowns at its start, shape (C, N)
+    mean_rest: Array  # its constant part, shape (C,)
+    end: Array  # the momentum at its end, shape (C, N)
+    end_rest: Array  # as above
+    measured: Array  # measurement of the mean, shape (C,)
+    at_end: Array  # measurement at the block's end, shape (C,)
+    variance: Array  # of the measurement, as stated, shape (C, C)
+    walk: Array  # variance that the block adds to the momentum at its end, shape (C, C)
+    crossed: Array  # the block's mean momentum by each channel's place and each channel's F0, shape (C, K, K)
+    lasting: Array  # variance of errors that last longer than a block, as an outside wrench does, shape (C,)
+    point: Array  # o in m, shape (3,)
+    height: float  # of the centre of mass over o in m
 
 
 class Model:

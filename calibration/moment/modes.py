@@ -22,21 +22,13 @@ from surefoot.calibration.moment.state import Belief
 
 
 class Mode(NamedTuple):
-    """How an outside wrench behaves, and the load on the robot.
+    """How an outside wrench behaves, and the load on the robot."""
 
-    Attributes:
-        time: The wrench's time constant in s.
-        force: Its standard deviation in W.
-        torque: The same about the feet's centre of pressure, in W times the height of the centre of mass.
-        load: Standard deviation of the robot's load, as a share of its weight.
-        shift: By how much a load moves the centre of mass along each axis, in m.
-    """
-
-    time: float
-    force: float
-    torque: float
-    load: float = 0.0
-    shift: float = 0.0
+    time: float  # the wrench's time constant in s
+    force: float  # its standard deviation in W
+    torque: float  # the same about the feet's centre of pressure, in W times the height of the centre of mass
+    load: float = 0.0  # standard deviation of the robot's load, as a share of its weight
+    shift: float = 0.0  # by how much a load moves the centre of mass along each axis, in m
 
 
 FREE = Mode(2.0, 0.002, 0.004)
@@ -138,17 +130,11 @@ def combine(chance: Array, mean: Array, covariance: Array) -> tuple[Array, Array
 
 
 class Step(NamedTuple):
-    """Result of a block; J modes.
+    """Result of a block; J modes."""
 
-    Attributes:
-        belief: The modes' posteriors at its end; how likely they are is as before.
-        likelihood: Logarithm of the block's likelihood in each mode, under the wide prior, shape (J,).
-        nis: Innovation squared of the mode that was likeliest before, normalised.
-    """
-
-    belief: Belief
-    likelihood: Array
-    nis: float
+    belief: Belief  # the modes' posteriors at its end; how likely they are is as before
+    likelihood: Array  # logarithm of the block's likelihood in each mode, under the wide prior, shape (J,)
+    nis: float  # innovation squared of the mode that was likeliest before, normalised
 
 
 def learn(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Step:

@@ -36,25 +36,15 @@ FASTEST = 20.0
 
 
 class Track(NamedTuple):
-    """Where the axes of the last sample lie, and the sums so far; F feet.
+    """Where the axes of the last sample lie, and the sums so far; F feet."""
 
-    Attributes:
-        motion: The last flat reference, shape (R,).
-        samples: How many have followed each other; 0 before the first.
-        heading: Angle from the fixed axes to those of the last sample in rad.
-        origin: Their origin in the fixed axes in m, shape (3,).
-        velocity: Of the centre of mass in m/s, shape (3,).
-        spin: Angular momentum by the mass in m^2/s, shape (3,).
-        adrift: Time in s since a foot stood and held the velocity, or it was measured.
-    """
-
-    motion: Array
-    samples: int
-    heading: float
-    origin: Array
-    velocity: Array
-    spin: Array
-    adrift: float
+    motion: Array  # the last flat reference, shape (R,)
+    samples: int  # how many have followed each other; 0 before the first
+    heading: float  # angle from the fixed axes to those of the last sample in rad
+    origin: Array  # their origin in the fixed axes in m, shape (3,)
+    velocity: Array  # of the centre of mass in m/s, shape (3,)
+    spin: Array  # angular momentum by the mass in m^2/s, shape (3,)
+    adrift: float  # time in s since a foot stood and held the velocity, or it was measured
 
     @classmethod
     def begin(cls, motion: Array) -> "Track":
@@ -72,18 +62,12 @@ class Pose(NamedTuple):
 
     That is the middle of the interval that a momentum describes the end of, and the moment that an
     acceleration describes.
-
-    Attributes:
-        end: Centre of mass at the end of the interval in m, shape (3,).
-        com: Centre of mass in m, shape (3,).
-        sole: Soles in m, shape (F, 3).
-        rotation: Rotations from the sole frames, shape (F, 3, 3).
     """
 
-    end: Array
-    com: Array
-    sole: Array
-    rotation: Array
+    end: Array  # centre of mass at the end of the interval in m, shape (3,)
+    com: Array  # centre of mass in m, shape (3,)
+    sole: Array  # soles in m, shape (F, 3)
+    rotation: Array  # rotations from the sole frames, shape (F, 3, 3)
 
 
 def follow_momentum(track: Track, motion: Array, columns: MotionColumns, mass: float) -> tuple[Track, Pose]:

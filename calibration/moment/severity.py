@@ -38,19 +38,12 @@ LEAST_SHARE = 1e-12
 
 
 class Weighed(NamedTuple):
-    """The posteriors of J modes under all severities; M unknowns, K channels.
+    """The posteriors of J modes under all severities; M unknowns, K channels."""
 
-    Attributes:
-        evidence: Logarithm of how much likelier the data are than under the wide prior, shape (J,).
-        mean: Scales, offsets and drift, shape (J, M).
-        covariance: Theirs, shape (J, M, M).
-        undetermined: Share of each scale's variance that the data have left, shape (J, K).
-    """
-
-    evidence: Array
-    mean: Array
-    covariance: Array
-    undetermined: Array
+    evidence: Array  # logarithm of how much likelier the data are than under the wide prior, shape (J,)
+    mean: Array  # scales, offsets and drift, shape (J, M)
+    covariance: Array  # theirs, shape (J, M, M)
+    undetermined: Array  # share of each scale's variance that the data have left, shape (J, K)
 
     def publish(self, chance: Array) -> Publication:
         """Combine all modes by how likely they are, shape (J,)."""
@@ -154,20 +147,13 @@ class _Compared(NamedTuple):
     """All severities against the data of J modes, in standard deviations of the wide prior.
 
     S severities; M are the scales and offsets here.
-
-    Attributes:
-        std: These standard deviations, shape (M,).
-        prior: Variances of the severities' priors, shape (S, M).
-        precision: Of the posteriors, shape (J, S, M, M).
-        found: Their means, less the start, shape (J, S, M).
-        evidence: Logarithm of how much likelier each is than the wide prior, shape (J, S).
     """
 
-    std: Array
-    prior: Array
-    precision: Array
-    found: Array
-    evidence: Array
+    std: Array  # these standard deviations, shape (M,)
+    prior: Array  # variances of the severities' priors, shape (S, M)
+    precision: Array  # of the posteriors, shape (J, S, M, M)
+    found: Array  # their means, less the start, shape (J, S, M)
+    evidence: Array  # logarithm of how much likelier each is than the wide prior, shape (J, S)
 
 
 def _total(evidence: Array) -> Array:

@@ -26,17 +26,11 @@ LEAST_STILL = 0.01
 
 
 class Still(NamedTuple):
-    """Keeps scales from what readings of a robot that stands still change by, for one setup.
+    """Keeps scales from what readings of a robot that stands still change by, for one setup."""
 
-    Attributes:
-        columns: The unknowns.
-        drift: Variance that zeros drift by at the stated rate in W^2/s, shape (K,).
-        noise: Variance of a channel's mean reading by the time that it is read for, in W^2 s, shape (K,).
-    """
-
-    columns: Columns
-    drift: Array
-    noise: Array
+    columns: Columns  # the unknowns
+    drift: Array  # variance that zeros drift by at the stated rate in W^2/s, shape (K,)
+    noise: Array  # variance of a channel's mean reading by the time that it is read for, in W^2 s, shape (K,)
 
     @classmethod
     def of(cls, columns: Columns, spread: Spread, noise: Array) -> "Still":

@@ -57,15 +57,10 @@ changes from block to block."""
 
 
 class Leap(NamedTuple):
-    """Zeros that have leapt together.
+    """Zeros that have leapt together."""
 
-    Attributes:
-        reading: By how much, as readings show it, in W, shape (K,).
-        std: How far that may be off in W, shape (K,).
-    """
-
-    reading: Array
-    std: Array
+    reading: Array  # by how much, as readings show it, in W, shape (K,)
+    std: Array  # how far that may be off in W, shape (K,)
 
 
 class Suspects:
@@ -162,8 +157,7 @@ class Suspects:
         if score.max() < CONTRAST:
             before = known
             # An error that stays is no noise, as the whole weight of a robot that hangs on a crane.
-            changed = e - state.error * span
-            surprise = np.minimum(0.5 * changed**2 / np.diagonal(S), SUSPECT_SURPRISE)
+            surprise = np.minimum(0.5 * (e - state.error * span) ** 2 / np.diagonal(S), SUSPECT_SURPRISE)
             noise = np.clip(noise * (1.0 + SUSPECT_SHARE * (surprise - 1.0)), *SUSPECT_NOISE)
         least = max(innocent + SURE, each.max())
         there = 1.0 - lost
