@@ -80,6 +80,9 @@ _ROUNDING = 1e-9
 
 _TINY = float(np.finfo(float).tiny)
 
+_BEYOND = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
+"""Shares of the rows that are tried for those in which a limb presses a stop."""
+
 _AS_GOOD = 0.1
 """Share by which two costs may differ that are alike."""
 
@@ -342,11 +345,11 @@ def _measure_gains(evidence: Evidence, j: int, spans: NDArray[np.int_], loads: b
 
 
 def _try_bending(evidence: Evidence) -> Iterator[Cause]:
-    """Yield a limb that bends, a sensor that is not linear, a cable that pulls, and motion taken for rest.
+    """Yield what goes with posture or turning alike in all sets, as no rigid limb does.
 
-    A limb bends by gravity, a sensor by its load, which grows with the added mass. A cable pulls by posture,
-    or drags against the turning, alike in all sets, as no rigid limb does. A limb that moves has forces by
-    each product of its rates.
+    A limb bends by gravity; a sensor that is not linear, by its load, which grows with the added mass. A
+    cable pulls by posture, or drags against the turning. A stop presses the more, the further the limb is
+    beyond a posture. A limb that moves and was taken for still has forces by each product of its rates.
     """
     problem = evidence.problem
     channels, gravity = len(problem.whitening), [part.source.signals[:, DIRECT] for part in problem.sets]
@@ -363,17 +366,38 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
         "something pulls at the limb as it turns, such as a cable",
         "Let cables hang loose, or fix them.",
     )
+    stops = "something touched the limb in all sets at one end of its motion, such as the floor"
     for words, cure, columns, known, choices in (
         (bent, BENT_CURE, squares, 0, 2),
         (bent, BENT_CURE, cubes, 0, 2),
         (pulls, loose, postures, STATIC, 2),
         (pulls, loose, against, 0, 2),
+        (stops, _TOUCHING, _find_stop(problem), -3, 1),
     ):
         yield evidence.beside(words, cure, columns, columns[0].shape[1] * channels - known, choices)
     moved = [] if problem.moving else list(map(_motion_of, evidence.sets))
     if moved and all(len(one) for one in moved):
         cure = "Give the gyroscope's readings as well, or move slowly."
         yield evidence.beside(TOO_FAST, cure, evidence.at_rows(moved), moved[0].shape[1] * channels, 1)
+
+
+def _find_stop(problem: Problem) -> list[Matrix]:
+    """Return how far gravity is beyond the plane that explains most, at the rows of each set, (m, 1)."""
+    directions = np.array([one for one in product((-1.0, 0.0, 1.0), repeat=3) if any(one)])
+    along = [part.source.signals[:, DIRECT] @ directions.T for part in problem.sets]
+    planes = np.quantile(np.concatenate(along), 1.0 - np.array(_BEYOND), axis=0)
+    beyond = [np.maximum(one[:, None] - planes, 0.0).reshape(len(one), -1) for one in along]
+    rest = []
+    for part, one in zip(problem.sets, beyond, strict=True):
+        columns = np.column_stack([np.ones(len(one)), part.source.signals, one])
+        columns = part.weigh(part.source.weight[:, None] * columns)
+        known, more = np.split(columns, [1 + part.source.inputs], axis=1)
+        basis, _ = orthonormal(known)
+        rest.append(more - basis @ (basis.T @ more))
+    z = np.concatenate(rest)
+    white, _ = orthonormal(np.concatenate([part.residual for part in problem.sets]), _ROUNDING)
+    best = int(np.argmax(np.sum((white.T @ z) ** 2, axis=0) / np.maximum(np.sum(z**2, axis=0), _TINY)))
+    return [one[:, best : best + 1] for one in beyond]
 
 
 def _motion_of(data: InSituSet) -> Matrix:

@@ -87,6 +87,14 @@ def pull(raw, one, _):
     return raw + angle @ along @ RESPONSE.T
 
 
+def press(raw, one, _):
+    """Foam presses the foot where it is swept to one end."""
+    return (
+        raw
+        + np.outer(np.maximum(one.gravity[:, 0] - 4.0, 0.0), [-0.5, 0.0, -1.0, 0.3, 0.0, 0.1]) @ RESPONSE.T
+    )
+
+
 def rotate(sets):
     R = Rotation.from_euler("xyz", [6.0, 4.0, -7.0], degrees=True).as_matrix()
     return [replace(one, gravity=one.gravity @ R) for one in sets]
@@ -121,6 +129,7 @@ CAUSES = {
     ),
     "a mass falls off": (each(lose), "what hangs in 'data set 4' changed at 40.1 s", "with a mass each"),
     "a cable": (each(pull), "something pulls at the limb as it turns, such as a cable", "cables hang loose"),
+    "a floor": (each(press), "something touched the limb in all sets at one end", "nothing near the limb"),
     "readings held": (
         each(lambda raw, *_: raw[np.arange(600) // 20 * 20]),
         "readings repeat the",
