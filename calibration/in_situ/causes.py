@@ -12,7 +12,7 @@ of a cause with d unknowns more, one of c choices, are
 each with the colour of all that it leaves, contradictions between sets as well.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration.arrays import orthonormal
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals, measure_repeated
-from surefoot.calibration.in_situ.compress import change_signals
+from surefoot.calibration.in_situ.compress import CompressedSet, change_signals
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
 from surefoot.calibration.in_situ.imu import add_turning
 from surefoot.calibration.in_situ.model import (
@@ -76,7 +76,7 @@ _ACCURACY = 2e-3
 """Share of a delay to which it is found: a message has three digits."""
 
 _ROUNDING = 1e-9
-"""Share of the largest mixture of channels at or below which another is rounding."""
+"""Share of the largest mixture of channels, or of a column's square, that is rounding."""
 
 _TINY = float(np.finfo(float).tiny)
 
@@ -241,106 +241,83 @@ def _format_percent(share: float) -> str:
 
 # Events within a set: signals that act on its readings.
 
-
-class _Event(NamedTuple):
-    """Something that begins within a set.
-
-    Attributes:
-        words: With the set, its beginning and its end.
-        cure: Advice for the user.
-        ends: Whether it ends again.
-        loads: Whether it goes with gravity, as a mass does, rather than being the same all the time.
-    """
-
-    words: str
-    cure: str
-    ends: bool
-    loads: bool
-
-
 _EVENTS = (
-    _Event(
+    (
         "the zero of '{name}' leaps at {begin}",
         "Cut the set there into two, or record it again.",
-        ends=False,
-        loads=False,
+        False,
+        False,
     ),
-    _Event("something touched the limb in '{name}' from {begin} to {end}", _TOUCHING, ends=True, loads=False),
-    _Event(
+    ("something touched the limb in '{name}' from {begin} to {end}", _TOUCHING, True, False),
+    (
         "what hangs in '{name}' changed at {begin}",
         "Cut the set there into two with a mass each, or record it again.",
-        ends=False,
-        loads=True,
+        False,
+        True,
     ),
 )
+"""Events in words, their cures, whether they end again, and whether they go with gravity, as a mass does."""
 
 
 def _try_events(evidence: Evidence) -> Iterator[Cause]:
     """Yield the likeliest leap of a zero, touch, and change of what hangs there."""
-    channels, count = len(evidence.problem.whitening), len(evidence.sets)
-    for event in _EVENTS:
-        found = [_best_time(evidence, j, event) for j in range(count)]
-        j = int(np.argmax([one.gain for one in found]))
+    parts, channels = evidence.problem.sets, len(evidence.problem.whitening)
+    for words, cure, ends, loads in _EVENTS:
+        acts = [np.ones((part.rows, 1)) for part in parts]
+        if loads:
+            acts = [
+                np.hstack([one, part.source.signals[:, DIRECT]])
+                for one, part in zip(acts, parts, strict=True)
+            ]
+        found = [_find_span(part, one, ends) for part, one in zip(parts, acts, strict=True)]
+        j = int(np.argmax([gain for gain, *_ in found]))
         _, first, last = found[j]
-        data, name = evidence.sets[j], evidence.sets[j].name
-        acts = np.column_stack([np.ones(len(data.raw)), np.nan_to_num(data.gravity)][: 1 + event.loads])
-        columns = [np.zeros((len(one.raw), acts.shape[1])) for one in evidence.sets]
-        columns[j][first:last] = acts[first:last]
-        words = event.words.format(name=name, begin=evidence.when(j, first), end=evidence.when(j, last - 1))
-        free = acts.shape[1] * channels + 1 + event.ends
-        yield evidence.beside(words, event.cure, evidence.at_rows(columns), free, count)
+        rows = np.arange(parts[j].rows)
+        columns = [(i == j) * one for i, one in enumerate(acts)]
+        columns[j] = acts[j] * ((rows >= first) & (rows < last))[:, None]
+        begin, end = (evidence.when(j, int(parts[j].source.places[row])) for row in (first, last - 1))
+        named = words.format(name=evidence.sets[j].name, begin=begin, end=end)
+        yield evidence.beside(named, cure, columns, acts[j].shape[1] * channels + 1 + ends, len(parts))
 
 
-class _Span(NamedTuple):
-    """The likeliest span of samples of an event, and how much it explains."""
+def _find_span(part: CompressedSet, acts: Matrix, ends: bool) -> tuple[float, int, int]:
+    """Find the likeliest rows of an event, from one to before another, and how much they explain.
 
-    gain: float
-    first: int
-    last: int
+    It acts on the readings by ``acts``, shape (m, q), and to the end of the set unless it ends.
+    """
+    n, rows = part.rows, np.arange(part.rows)
 
-
-def _best_time(evidence: Evidence, j: int, event: _Event) -> _Span:
-    """Find the likeliest span of samples of an event in a set."""
-    n = len(evidence.sets[j].raw)
-
-    def best(spans: list[tuple[int, int]]) -> tuple[int, int, float]:
-        gains = _measure_gains(evidence, j, np.array(spans), event.loads)
+    def best(spans: list[tuple[int, int]]) -> tuple[float, int, int]:
+        masks = ((rows >= first) & (rows < last) for first, last in spans)
+        gains = _measure_gains([part], ([acts * mask[:, None]] for mask in masks))
         i = int(np.argmax(gains))
-        return *spans[i], float(gains[i])
+        return float(gains[i]), *spans[i]
 
     def near(edge: int, width: int) -> list[int]:
         steps = np.linspace(-width, width, 2 * _FINER + 1).astype(int)
         return sorted({*np.clip(edge + steps, 1, n - 1).tolist()})
 
     edges = np.unique(np.linspace(0, n, _EDGES + 1).astype(int))[1:-1].tolist()
-    spans = list(combinations(edges, 2)) if event.ends else [(edge, n) for edge in edges]
-    first, last, gain = best(spans)
+    gain, first, last = best(list(combinations(edges, 2)) if ends else [(edge, n) for edge in edges])
     for width in (n // _EDGES, n // _EDGES // _FINER, _FINER):
-        ends = near(last, width) if event.ends else [n]
-        fine = [(a, b) for a in near(first, width) for b in ends if b - a >= _SHORTEST]
-        first, last, gain = best([*fine, (first, last)])
-    return _Span(gain, first, last)
+        others = near(last, width) if ends else [n]
+        fine = [(a, b) for a in near(first, width) for b in others if b - a >= _SHORTEST]
+        gain, first, last = best([*fine, (first, last)])
+    return gain, first, last
 
 
-def _measure_gains(evidence: Evidence, j: int, spans: NDArray[np.int_], loads: bool) -> Vector:
-    """Measure how much of a set's residual events in spans of samples, (K, 2), explain, shape (K,)."""
-    data, part = evidence.sets[j], evidence.problem.sets[j]
-    rows = np.flatnonzero(part.source.used)
-    rows = rows[:: max(len(rows) // _THINNED, 1)]
-    u = signals(data, evidence.problem.moving)[rows]
-    constant = np.ones((len(rows), 1))
-    basis, _ = orthonormal(np.column_stack([constant, np.linspace(-1.0, 1.0, len(rows)), u]), 1e-9)
-    raw = data.raw[rows]
-    residual = raw - basis @ (basis.T @ raw)
-    white, _ = orthonormal(residual, _ROUNDING)
-    acts = np.column_stack([constant, u[:, DIRECT]]) if loads else constant
+def _measure_gains(parts: Sequence[CompressedSet], acts: Iterable[Sequence[Matrix]]) -> Vector:
+    """Measure how much of the residuals of sets columns explain, each (m, q) a set, one number for each."""
+    white, _ = orthonormal(np.concatenate([part.residual for part in parts]), _ROUNDING)
     gains = []
-    for first, last in spans:
-        columns = acts * ((rows >= first) & (rows < last))[:, None]
-        z = columns - basis @ (basis.T @ columns)
-        seen = np.sum(z**2, axis=0) > 1e-9 * np.maximum(np.sum(columns**2, axis=0), 1e-300)
+    for columns in acts:
+        centred = [part.centre(one) for part, one in zip(parts, columns, strict=True)]
+        z = np.concatenate(
+            [one - part.score @ (part.score.T @ one) for part, one in zip(parts, centred, strict=True)]
+        )
+        seen = np.sum(z**2, axis=0) > _ROUNDING * sum(np.sum(one**2, axis=0) for one in centred)
         along = orthonormal(z[:, seen], 1e-6)[0] if seen.any() else z[:, :0]
-        gains.append(len(rows) * float(np.sum((along.T @ white) ** 2)))
+        gains.append(len(z) * float(np.sum((along.T @ white) ** 2)))
     return np.array(gains)
 
 
@@ -386,18 +363,11 @@ def _find_stop(problem: Problem) -> list[Matrix]:
     directions = np.array([one for one in product((-1.0, 0.0, 1.0), repeat=3) if any(one)])
     along = [part.source.signals[:, DIRECT] @ directions.T for part in problem.sets]
     planes = np.quantile(np.concatenate(along), 1.0 - np.array(_BEYOND), axis=0)
-    beyond = [np.maximum(one[:, None] - planes, 0.0).reshape(len(one), -1) for one in along]
-    rest = []
-    for part, one in zip(problem.sets, beyond, strict=True):
-        columns = np.column_stack([np.ones(len(one)), part.source.signals, one])
-        columns = part.weigh(part.source.weight[:, None] * columns)
-        known, more = np.split(columns, [1 + part.source.inputs], axis=1)
-        basis, _ = orthonormal(known)
-        rest.append(more - basis @ (basis.T @ more))
-    z = np.concatenate(rest)
-    white, _ = orthonormal(np.concatenate([part.residual for part in problem.sets]), _ROUNDING)
-    best = int(np.argmax(np.sum((white.T @ z) ** 2, axis=0) / np.maximum(np.sum(z**2, axis=0), _TINY)))
-    return [one[:, best : best + 1] for one in beyond]
+    tried = [
+        [np.maximum(one[:, i : i + 1] - plane[i], 0.0) for one in along]
+        for plane, i in product(planes, range(len(directions)))
+    ]
+    return tried[int(np.argmax(_measure_gains(problem.sets, tried)))]
 
 
 def _motion_of(data: InSituSet) -> Matrix:
@@ -444,12 +414,11 @@ def _find_size(sets: Sequence[InSituSet], change: "_Change", values: Sequence[fl
 def _change(data: InSituSet, change: "_Change", x: float) -> InSituSet:
     """Change gravity and motion; gaps are filled, as filters need all values."""
 
-    def whole(values: Matrix) -> Matrix:
-        there = np.isfinite(values).all(axis=1)
-        at = np.flatnonzero(there)
-        return np.stack([np.interp(np.arange(len(values)), at, one[there]) for one in values.T], axis=1)
+    def fill(values: Matrix) -> Matrix:
+        at = np.flatnonzero(np.isfinite(values).all(axis=1))
+        return np.stack([np.interp(np.arange(len(values)), at, one[at]) for one in values.T], axis=1)
 
-    return change(change_motion(data, whole), x)
+    return change_motion(data, lambda values: change(fill(values), data, x))
 
 
 def _low_pass(values: Matrix, data: InSituSet, seconds: float) -> Matrix:
@@ -459,22 +428,17 @@ def _low_pass(values: Matrix, data: InSituSet, seconds: float) -> Matrix:
     return np.asarray(lfilter([1.0 - kept], [1.0, -kept], values, axis=0, zi=kept * values[:1])[0])
 
 
-def _delay(data: InSituSet, seconds: float) -> InSituSet:
-    return change_motion(data, lambda values: _low_pass(values, data, seconds))
+def _take_zero_off(values: Matrix, data: InSituSet, seconds: float) -> Matrix:
+    return values - _low_pass(values, data, seconds)
 
 
-def _take_zero_off(data: InSituSet, seconds: float) -> InSituSet:
-    return change_motion(data, lambda values: values - _low_pass(values, data, seconds))
-
-
-def _hold(data: InSituSet, _: float) -> InSituSet:
-    """Return gravity as it was when readings that repeat were read."""
+def _hold(values: Matrix, data: InSituSet, _: float) -> Matrix:
+    """Return values as they were when readings that repeat were read."""
     fresh = np.append(True, np.any(data.raw[1:] != data.raw[:-1], axis=1))
-    first = np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))
-    return change_motion(data, lambda values: values[first])
+    return np.asarray(values[np.maximum.accumulate(np.where(fresh, np.arange(len(fresh)), 0))])
 
 
-_Change = Callable[[InSituSet, float], InSituSet]
+_Change = Callable[[Matrix, InSituSet, float], Matrix]
 
 _READINGS: tuple[tuple[str, str, _Change, tuple[float, ...]], ...] = (
     ("the IMU came about {:.3g} s after the readings", _CLOCK, read_later, tuple(_DELAYS)),
@@ -482,7 +446,7 @@ _READINGS: tuple[tuple[str, str, _Change, tuple[float, ...]], ...] = (
     (
         "the readings came about {:.3g} s after the IMU, as through a low-pass filter",
         _CLOCK,
-        _delay,
+        _low_pass,
         tuple(_DELAYS),
     ),
     (
@@ -522,12 +486,11 @@ def _try_sensor(evidence: Evidence) -> Iterator[Cause]:
     parts, A = evidence.problem.sets, evidence.solution.A
     channels, count = len(evidence.problem.whitening), len(parts)
     cure = "Check its cable and the amplifier's gain, and record all sets with one sensor."
-    zeros = [np.zeros((part.rows, 3)) for part in parts]
     of_gravity = [part.source.signals[:, DIRECT] for part in parts]
     loads = [g @ T[:, :3].T for g, T in zip(of_gravity, evidence.solution.loads, strict=True)]
     for j in range(count):
         name = evidence.sets[j].name
-        other = [*zeros[:j], of_gravity[j], *zeros[j + 1 :]]
+        other = [(i == j) * g for i, g in enumerate(of_gravity)]
         words = f"another sensor, gain or order of channels in '{name}'"
         yield evidence.beside(words, cure, other, 3 * channels, count)
         for channel in range(channels) if j else ():

@@ -417,12 +417,7 @@ def measure_bending(part: CompressedSet) -> float:
     """
     if part.rows < _FEW:
         return 0.0
-    columns = part.weigh(
-        np.column_stack(
-            [part.source.weight, part.source.weight[:, None] * bending_signals(part.source.signals)]
-        )
-    )
-    basis = np.linalg.qr(columns)[0][:, 1:]
+    basis = np.linalg.qr(part.centre(bending_signals(part.source.signals)))[0]
     explained = float(np.sum((basis.T @ part.residual) ** 2))
     left = float(np.sum(part.residual**2)) - explained
     # Channels of which one is much noisier, or that share their noise, are worth fewer than they are.

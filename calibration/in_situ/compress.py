@@ -269,6 +269,13 @@ class CompressedSet:
         """Weight columns at the rows against drift, shape (m, c)."""
         return self.colour.weigh(columns, self.source.spacing)
 
+    def centre(self, columns: Matrix) -> Matrix:
+        """Weight columns at the rows as the rows are, less their means, shape (m, c)."""
+        weight = self.source.weight[:, None]
+        white = self.weigh(np.hstack([weight, weight * columns]))
+        mean, rest = white[:, :1], white[:, 1:]
+        return np.asarray(rest - mean @ (mean.T @ rest) / np.sum(mean**2))
+
     @property
     def rows(self) -> int:
         """Rows, each the weighted mean of some samples."""

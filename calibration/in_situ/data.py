@@ -299,20 +299,18 @@ def change_motion(data: InSituSet, change: Callable[[NDArray[np.float64]], NDArr
     return replace(data, **changed)
 
 
-def read_later(data: InSituSet, delay: float) -> InSituSet:
-    """Return a set with gravity and motion as they were read later by a delay in s; the ends stay."""
+def read_later(values: NDArray[np.float64], data: InSituSet, delay: float) -> NDArray[np.float64]:
+    """Return values of a set, shape (n, 3), as they were read later by a delay in s; the ends stay."""
     time = data.time
     assert time is not None
-    return change_motion(
-        data, lambda values: np.stack([np.interp(time + delay, time, one) for one in values.T], axis=1)
-    )
+    return np.stack([np.interp(time + delay, time, one) for one in values.T], axis=1)
 
 
 def shift(data: InSituSet, delay: float) -> InSituSet:
     """Return a set with gravity and motion as they were read later by the delay; the ends drop out."""
     if not delay:
         return data
-    late, time = read_later(data, delay), data.time
+    late, time = change_motion(data, lambda values: read_later(values, data, delay)), data.time
     assert time is not None
     kept = (time + delay >= time[0]) & (time + delay <= time[-1])
     names = ("raw", "gravity", "angular_velocity", "angular_acceleration", "temperature", "time")

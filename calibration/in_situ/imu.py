@@ -374,10 +374,7 @@ def _delay_left(sets: Sequence[InSituSet], solution: Solution) -> DelayLeft:
         at = np.interp(source.places, np.arange(len(data.raw)), np.asarray(data.time))
         rate = np.gradient(source.signals[:, problem.motion], at, axis=0) @ B[:, problem.motion].T
         loops = source.signals[:, problem.of_lags] @ B[:, problem.of_lags].T
-        columns = np.column_stack([rate, loops]) * source.weight[:, None]
-        columns = part.weigh(np.column_stack([source.weight, columns]))
-        mean, columns = columns[:, 0], columns[:, 1:]
-        late, loops = np.hsplit(columns - np.outer(mean, mean @ columns) / (mean @ mean), 2)
+        late, loops = np.hsplit(part.centre(np.column_stack([rate, loops])), 2)
         seen = part.score.T @ late
         between.append(part.whiten @ seen @ problem.whitening.T)
         power = np.sqrt(part.power)[:, None]
