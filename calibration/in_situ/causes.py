@@ -136,11 +136,6 @@ class Evidence:
         time = self.sets[j].time
         return f"sample {sample}" if time is None else f"{time[sample]:.1f} s"
 
-    @property
-    def timed(self) -> bool:
-        """Whether all sets have times."""
-        return all(one.time is not None for one in self.sets)
-
 
 class Cause(NamedTuple):
     """A cause that was tried.
@@ -384,7 +379,7 @@ def _motion_of(data: InSituSet) -> Matrix:
 
 def _try_reading(evidence: Evidence) -> Iterator[Cause]:
     """Yield clocks that disagree, filters, and values that were held."""
-    if not evidence.timed:
+    if any(one.time is None for one in evidence.sets):
         return
     held = max(map(measure_repeated, evidence.sets)) > limits.REPEATED
     for words, cure, change, values in _READINGS:

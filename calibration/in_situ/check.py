@@ -327,7 +327,11 @@ def check_within(
             most = max(most, bends)
             beyond &= bends <= limits.BENDS_MOSTLY * left
             if not beyond:
-                found.append(_find_bending(data, bends))
+                reason = (
+                    f"'{data.name}': {bends:.1%} of the readings' spread goes with gravity's squares: the "
+                    "limb bends as it turns, or the sensor is not linear."
+                )
+                found.append(Finding("bending", reason, BENT_CURE, bends, limits.BENDING, contradicts=True))
         if beyond:
             found.append(_find_residual(data, part, left))
     return most, found
@@ -372,14 +376,6 @@ def _settles(data: InSituSet, rejected: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def measure_residual(parts: Sequence[CompressedSet]) -> float:
     """Return the largest share of a set's spread that gravity does not explain, noise and all."""
     return max(_share_of_spread(float(np.sum(part.residual**2)), part) for part in parts)
-
-
-def _find_bending(data: InSituSet, share: float) -> Finding:
-    reason = (
-        f"'{data.name}': {share:.1%} of the readings' spread goes with gravity's squares: the limb bends as "
-        "it turns, or the sensor is not linear."
-    )
-    return Finding("bending", reason, BENT_CURE, share, limits.BENDING, contradicts=True)
 
 
 def _residual_share(data: InSituSet, part: CompressedSet) -> float:

@@ -70,8 +70,7 @@ class Part(NamedTuple):
 
     def power(self, frequency: Vector) -> Vector:
         """Return the power at frequencies above zero."""
-        slow = np.minimum(frequency / self.knee, 1.0) ** 2 if self.knee > 0.0 else 1.0
-        return np.asarray(slow * (self.corner / np.maximum(frequency, self.knee)) ** self.exponent)
+        return np.asarray(_powers(np.array([self]), frequency)[0])
 
 
 @dataclass(frozen=True)
@@ -235,7 +234,7 @@ def likeliest_colour(
 
 
 def _powers(grid: Matrix, frequency: Vector) -> Matrix:
-    """Return the power of parts, one a row of ``grid``, as :meth:`Part.power` does one by one."""
+    """Return the power of parts, one a row of ``grid``, at frequencies above zero."""
     corner, exponent, knee = (column[:, None] for column in grid.T)
     slow = np.minimum(frequency / np.maximum(knee, _NONE), 1.0) ** 2
     return np.asarray(
