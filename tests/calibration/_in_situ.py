@@ -57,12 +57,16 @@ def random_gravity(rng, n, size=9.81):
     return size * direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
 
-def swept_gravity(n, front=35.0, side=45.0):
-    """Gravity in a frame that points down while two hips sweep, degrees to either side."""
-    time = np.linspace(0.0, 1.0, n)
-    a = np.radians(front) * np.sin(2.0 * np.pi * 5.0 * time)
-    b = np.radians(side) * np.sin(2.0 * np.pi * 1.1 * time + 0.3)
+def hip_gravity(front, side):
+    """Gravity in a frame that points down, by the angles of two hips in degrees."""
+    a, b = np.radians(front), np.radians(side)
     return 9.81 * np.stack([np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)], axis=-1)
+
+
+def swept_gravity(n, front=35.0, side=45.0, turns=(5.0, 1.1), begin=0.3):
+    """Gravity while two hips sweep, degrees to either side, each so many times."""
+    phase = 2.0 * np.pi * np.linspace(0.0, 1.0, n)
+    return hip_gravity(front * np.sin(turns[0] * phase), side * np.sin(turns[1] * phase + begin))
 
 
 def make_set(matrix, offset, limb, added, gravity, *, noise=0.0, rng=None, name="set"):

@@ -70,12 +70,7 @@ def test_an_offset_that_walks_is_as_sure_as_a_filter_is():
 def rasters(sensor, rng, drift, rows=1500):
     """The paper's first four sets, the second joint moved once a set; the offset walks by so many N (std)."""
     matrix, mass, com, places = SENSORS[sensor]
-    share = np.linspace(0.0, 1.0, rows)
-    a, b = (
-        np.radians(35.0) * np.sin(2.0 * np.pi * 13.0 * share),
-        np.radians(45.0) * np.sin(np.pi * (share - 0.5)),
-    )
-    gravity = 9.81 * np.stack([np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)], axis=-1)
+    gravity = swept_gravity(rows, turns=(13.0, 0.5), begin=-0.5 * np.pi)
     sets = []
     for added, place in zip((0.0, 0.703, 0.703, 0.703), places, strict=True):
         wrench = gravity @ (wrench_of_gravity(mass, com) + wrench_of_gravity(added, place)).T

@@ -66,14 +66,8 @@ def with_backlash(wrench, share=0.03):
     return read
 
 
-def raster(n=1500):
-    """Gravity while a hip turns to both sides once and sweeps from front to back meanwhile."""
-    share = np.linspace(0.0, 1.0, n)
-    a, b = (
-        np.radians(35.0) * np.sin(2.0 * np.pi * 15.0 * share),
-        np.radians(45.0) * np.sin(2.0 * np.pi * share),
-    )
-    return 9.81 * np.stack([np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)], axis=-1)
+RASTER = swept_gravity(1500, turns=(15.0, 1.0), begin=0.0)
+"""A hip turns to both sides once and sweeps from front to back meanwhile."""
 
 
 @pytest.mark.parametrize(
@@ -81,8 +75,8 @@ def raster(n=1500):
     [
         # Neither time constant is one of the law's.
         (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), None, 0.0015, 1.4),
-        (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), raster(), 0.0015, 1.4),
-        (with_backlash, raster(), 0.03, 3.0),
+        (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), RASTER, 0.0015, 1.4),
+        (with_backlash, RASTER, 0.03, 3.0),
     ],
 )
 def test_a_sensor_that_lags_is_as_sure_as_it_is_right(read_load, gravity, share, most):
@@ -96,7 +90,7 @@ def test_a_sensor_that_lags_is_as_sure_as_it_is_right(read_load, gravity, share,
 
 
 def test_backlash_changes_no_gain():
-    sets = lagging_sets(with_backlash, noise=0.3, gravity=raster(), seed=42)
+    sets = lagging_sets(with_backlash, noise=0.3, gravity=RASTER, seed=42)
     gain = np.diag(calibrate_in_situ(sets).matrix @ np.linalg.inv(SENSORS["leg"][0]))
     # In phase with the loads 3 % of backlash takes 0.4 % off.
     np.testing.assert_allclose(gain, 1.0, atol=0.0015)

@@ -8,6 +8,7 @@ from _in_situ import (
     ADDED_COM_LEG,
     ADDED_MASS,
     NOISE,
+    hip_gravity,
     make_set,
     moving_sets,
     noisy_sets,
@@ -359,9 +360,7 @@ def pose_sets(walk, settle, rows):
     """Sets in 24 postures of equal gravity each, of a zero that walks (counts a sample) and a filter (s)."""
     rng, sets = np.random.default_rng(0), []
     for added, place in zip(ADDED_MASS, ADDED_COM_LEG, strict=True):
-        a, b = np.radians(rng.uniform(-40.0, 40.0, (2, 24)))
-        posture = 9.81 * np.stack([np.sin(a) * np.cos(b), np.sin(b), np.cos(a) * np.cos(b)], axis=1)
-        gravity = np.repeat(posture, rows, axis=0)
+        gravity = np.repeat(hip_gravity(*rng.uniform(-40.0, 40.0, (2, 24))), rows, axis=0)
         one = make_set(MATRIX, 0.0, (MASS, COM), (added, place), gravity)
         kept = np.exp(-0.1 / settle) if settle else 0.0
         raw = lfilter([1.0 - kept], [1.0, -kept], one.raw, axis=0, zi=kept * one.raw[:1])[0]

@@ -118,7 +118,8 @@ def test_a_limb_that_turns_slowly_is_no_point():
     matrix, mass, com, _ = SENSORS["leg"]
     sets, _ = moving_sets(np.random.default_rng(0), 0.2, slower=15.0)
     still = [replace(one, angular_velocity=None, angular_acceleration=None) for one in sets]
-    fit = calibrate_in_situ(still)
+    fit, sure = calibrate_in_situ(still), calibrate_in_situ(sets)
     nees = normalise_error(fit, np.linalg.inv(matrix), np.full(6, 500.0), Limb(mass, mass * com))
     # As a point it were 6.
     assert 0.5 < nees / len(fit.covariance) < 2.5
+    assert sure.limb_mass_std < 0.5 * fit.limb_mass_std
