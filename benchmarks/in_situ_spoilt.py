@@ -103,18 +103,16 @@ class Spoilt:
 
     Attributes:
         cause: Words by which a message names it.
-        sizes: Changes of a log, by the size in words.
-        rig: Options of the rig, where the recording itself is spoilt.
-        factory, without: Whether it is tried with and without the factory matrix.
-        gyroscope: With and without.
+        sizes: Changes of a log by the size in words; or options of the rig, where the recording is spoilt.
+        factory: Whether it is tried without the factory matrix and with it.
+        gyroscope: The same of the gyroscope.
         unknowable: Whether nothing in a log without a factory matrix can show it.
     """
 
     cause: str
-    sizes: dict[str, Change]
+    sizes: dict[str, Change | dict[str, Any]]
     factory: tuple[bool, ...] = (False, True)
     gyroscope: tuple[bool, ...] = (False, True)
-    rig: dict[str, dict[str, Any]] | None = None
     unknowable: bool = False
 
 
@@ -314,7 +312,6 @@ def mix_channels(log: Log) -> Floats:
     return np.asarray(other @ np.linalg.inv(log.truth.response))
 
 
-SAME: Change = replace
 PUSH = [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2]
 """8 N and 1.1 N m."""
 
@@ -402,20 +399,15 @@ SPOILTS: dict[str, Spoilt] = {
     "all places negated": Spoilt(PLACES, {"": scale_masses(1.0, -1.0)}, (True,)),
     "fast without a gyroscope": Spoilt(
         SPEED,
-        {"38 deg/s": SAME, "76 deg/s": SAME, "swings": SAME},
-        gyroscope=(False,),
-        rig={
+        {
             "38 deg/s": {"speed_deg": 38.0, "rate": 50.0},
             "76 deg/s": {"speed_deg": 76.0, "rate": 50.0},
             "swings": {"fast_motion": True, "rate": 100.0},
         },
+        gyroscope=(False,),
     ),
-    "limb not rigid": Spoilt(
-        SOFT,
-        {"0.005": SAME, "0.02": SAME, "0.06": SAME},
-        rig={name: {"knee_slack": float(name)} for name in ("0.005", "0.02", "0.06")},
-    ),
-    "foot on the floor": Spoilt(TOUCH, {"": SAME}, rig={"": {"floor": True}}),
+    "limb not rigid": Spoilt(SOFT, {f"{slack}": {"knee_slack": slack} for slack in (0.005, 0.02, 0.06)}),
+    "foot on the floor": Spoilt(TOUCH, {"": {"floor": True}}),
     "channels exchanged": Spoilt(
         r"channels? .* (are )?exchanged", {"": factory(lambda F: F[:, [3, 1, 2, 0, 4, 5]])}, (True,)
     ),
@@ -577,24 +569,25 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     arguments = parser.parse_args()
     first, step = arguments.part
+    cases = [
+        (kind, spoilt, *case)
+        for kind, spoilt in SPOILTS.items()
+        for case in product(spoilt.sizes.items(), spoilt.gyroscope, spoilt.factory)
+        if arguments.only in kind and not arguments.sound
+    ]
     rows: list[dict[str, Any]] = []
-    for kind, spoilt in SPOILTS.items() if not arguments.sound else ():
-        cases = product(spoilt.sizes.items(), spoilt.gyroscope, spoilt.factory)
-        rows += [
-            {
-                "kind": kind,
-                "unknowable": spoilt.unknowable,
-                "cause": spoilt.cause,
-                "size": size,
-                "change": change,
-            }
-            | {"gyro": gyroscope, "factory": with_factory, "rig": (spoilt.rig or {}).get(size, {})}
-            for (size, change), gyroscope, with_factory in cases
-            if arguments.only in kind
-        ]
-    for row in (rows := rows[first::step]):
-        log = row.pop("change")(record(arguments.seed, row["gyro"], **row.pop("rig")))
-        row |= outcome(log if row["factory"] else replace(log, factory=None), row.pop("cause"))
+    for kind, spoilt, (size, change), gyroscope, factory in cases[first::step]:
+        of_rig = change if isinstance(change, dict) else {}
+        log = record(arguments.seed, gyroscope, **of_rig)
+        log = log if of_rig else change(log)
+        row = {
+            "kind": kind,
+            "unknowable": spoilt.unknowable,
+            "size": size,
+            "gyro": gyroscope,
+            "factory": factory,
+        }
+        rows.append(row | outcome(log if factory else replace(log, factory=None), spoilt.cause))
     if rows:
         tell(pd.DataFrame(rows), arguments.verbose)
     if arguments.sound or not arguments.only:
