@@ -36,6 +36,7 @@ from surefoot.calibration.in_situ.model import (
     LEAST_LEVER,
     MASS,
     MOMENT,
+    SPREAD_ROUNDING,
     STATIC,
     inertial_parameters,
     signals,
@@ -74,9 +75,6 @@ _DELAYS = np.geomspace(0.03, 6.0, 24)
 
 _ACCURACY = 2e-3
 """Share of a delay to which it is found: a message has three digits."""
-
-_ROUNDING = 1e-9
-"""Share of the largest mixture of channels, or of a column's square, that is rounding."""
 
 _TINY = float(np.finfo(float).tiny)
 
@@ -303,14 +301,14 @@ def _find_span(part: CompressedSet, acts: Matrix, ends: bool) -> tuple[float, in
 
 def _measure_gains(parts: Sequence[CompressedSet], acts: Iterable[Sequence[Matrix]]) -> Vector:
     """Measure how much of the residuals of sets columns explain, each (m, q) a set, one number for each."""
-    white, _ = orthonormal(np.concatenate([part.residual for part in parts]), _ROUNDING)
+    white, _ = orthonormal(np.concatenate([part.residual for part in parts]), SPREAD_ROUNDING)
     gains = []
     for columns in acts:
         centred = [part.centre(one) for part, one in zip(parts, columns, strict=True)]
         z = np.concatenate(
             [one - part.score @ (part.score.T @ one) for part, one in zip(parts, centred, strict=True)]
         )
-        seen = np.sum(z**2, axis=0) > _ROUNDING * sum(np.sum(one**2, axis=0) for one in centred)
+        seen = np.sum(z**2, axis=0) > SPREAD_ROUNDING * sum(np.sum(one**2, axis=0) for one in centred)
         along = orthonormal(z[:, seen], 1e-6)[0] if seen.any() else z[:, :0]
         gains.append(len(z) * float(np.sum((along.T @ white) ** 2)))
     return np.array(gains)
@@ -469,7 +467,7 @@ def _share_left(sets: Sequence[InSituSet]) -> float:
         rows = rows[:: max(len(rows) // _THINNED, 1)]
         if len(rows) <= 2 * u.shape[1]:
             return np.inf
-        basis, _ = orthonormal(u[rows], 1e-9)
+        basis, _ = orthonormal(u[rows], SPREAD_ROUNDING)
         raw = data.raw[rows] - np.mean(data.raw[rows], axis=0)
         left = np.mean((raw - basis @ (basis.T @ raw)) ** 2, axis=0)
         found.append(np.mean(left / np.maximum(np.mean(raw**2, axis=0), _TINY)))

@@ -12,7 +12,7 @@ from surefoot.calibration.imu.gravity_spread import gravity_spread
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
-from surefoot.calibration.in_situ.model import DIRECT
+from surefoot.calibration.in_situ.model import DIRECT, SPREAD_ROUNDING
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused, Finding
 
@@ -168,7 +168,7 @@ def _follows_gravity(data: InSituSet, channel: int) -> float:
     columns = np.column_stack([np.ones(len(data.raw)), data.gravity, data.raw[:, channel]])
     columns = columns[np.isfinite(columns).all(axis=1)]
     columns = columns - columns.mean(axis=0)
-    gravity, counts = orthonormal(columns[:, 1:4], 1e-9)[0], columns[:, 4]
+    gravity, counts = orthonormal(columns[:, 1:4], SPREAD_ROUNDING)[0], columns[:, 4]
     return float(
         len(counts) * np.sum((gravity.T @ counts) ** 2) / max(float(counts @ counts), np.finfo(float).tiny)
     )

@@ -29,10 +29,7 @@ from scipy.special import chdtri
 from surefoot.calibration.arrays import MAD_TO_STD, orthonormal, triangle
 from surefoot.calibration.in_situ.colour import Colour, Spectrum, likeliest_colour, motion_frequency
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Matrix, Vector
-from surefoot.calibration.in_situ.model import DIRECT, signals
-
-UNUSED = 1e-9
-"""Share of the largest variance of a set's rows below which a signal never varied."""
+from surefoot.calibration.in_situ.model import DIRECT, SPREAD_ROUNDING, signals
 
 _GATE = 1e-9
 """Probability that a sample of nothing but noise is left out."""
@@ -40,9 +37,6 @@ _GATE = 1e-9
 _SLIGHT = 0.05
 """Share of a channel's spread by which a sample must be off to be left out: 1 % of hysteresis leaves up to
 0.04 at the turns of a limb that takes postures, and is seen by these."""
-
-_FLOOR = 1e-9
-"""Deviations below this share of a channel's spread are rounding, not noise."""
 
 _ROUNDS = 12
 """Times that the weights are computed at most ..."""
@@ -168,7 +162,7 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     some, readings = columns[::stride], raw[::stride]
     weight = np.ones(len(some))
     spread = np.std(readings, axis=0)
-    floor = _FLOOR * spread + np.finfo(float).tiny
+    floor = SPREAD_ROUNDING * spread + np.finfo(float).tiny
     for i in range(_ROUNDS):
         weighted = weight[:, None] * some
         map_ = np.linalg.solve(weighted.T @ some, weighted.T @ readings)
@@ -253,7 +247,7 @@ class CompressedSet:
     @property
     def _gram(self) -> tuple[Vector, Matrix]:
         values, vectors = np.linalg.eigh(self.gram)
-        return np.where(values > UNUSED * np.max(values, initial=0.0), values, 0.0), vectors
+        return np.where(values > SPREAD_ROUNDING * np.max(values, initial=0.0), values, 0.0), vectors
 
     @property
     def samples(self) -> int:
@@ -371,7 +365,7 @@ def _colour(rows: Sequence[SetRows]) -> Colour:
         spread += float(np.sum((readings - readings.mean(axis=0)) ** 2))
     scatter = sum(residual.T @ residual for residual, _, _ in found)
     size, turn = np.linalg.eigh(scatter)
-    independent = turn[:, size > _FLOOR**2 * spread]
+    independent = turn[:, size > SPREAD_ROUNDING**2 * spread]
     if independent.shape[1] == 0:
         return Colour()
     spectra = [Spectrum.of(residual @ independent, basis, spacing) for residual, basis, spacing in found]

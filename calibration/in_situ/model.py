@@ -48,6 +48,9 @@ LEAST_LEVER = 0.1
 ENOUGH_MASSES = 3
 """Different added masses that a matrix needs (in-situ paper, Lemma 2)."""
 
+SPREAD_ROUNDING = 1e-9
+"""Share of a spread at or below which another is rounding."""
+
 _STEEL = 7850.0
 """Density of added masses in kg/m^3."""
 

@@ -48,15 +48,13 @@ from surefoot.calibration.in_situ.fit import Limb
 from surefoot.calibration.in_situ.model import (
     AXES,
     ENOUGH_MASSES,
+    SPREAD_ROUNDING,
     different_masses,
     inertial_parameters,
     stack_equations,
     transform_basis,
 )
 from surefoot.calibration.results import CalibrationRefused
-
-_EXACT = 1e-9
-"""Readings that leave the three-space by less than this share of their spread leave it by rounding alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +159,7 @@ def _finite_rows(raw: ArrayLike, gravity: ArrayLike) -> tuple[Matrix, Matrix]:
 
 def _check_reaction(singular: Matrix) -> None:
     """Refuse readings, by their singular values, that gravity does not move along three dimensions."""
-    if singular[2] <= _EXACT * singular[0]:
+    if singular[2] <= SPREAD_ROUNDING * singular[0]:
         raise CalibrationRefused(
             "The readings span fewer than the three dimensions of gravity (Lemma 1), so that the sensor did "
             "not react to all of it.",
@@ -191,10 +189,6 @@ def _check_rank(
             "or gravity hardly turned.",
             "Hang a heavier mass beside that line, and turn the limb about two axes in every set.",
         )
-
-
-_SAME_MASS = 1e-9
-"""Added masses that differ by less, in kg, are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +284,7 @@ def _check_masses(sets: Sequence[InSituSet]) -> None:
             f"The sets hold {count}, and three are needed (Lemma 2) to determine the matrix.",
             "Add sets with other masses at other places; one without any added mass counts as well.",
         )
-    if np.ptp(masses) <= _SAME_MASS:
+    if np.ptp(masses) == 0.0:
         raise CalibrationRefused(
             f"All {len(sets)} sets bear the same added mass of {masses[0]:g} kg, so that nothing shows how "
             "heavy the limb itself is.",

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.arrays import of_unit_length
+from surefoot.calibration.arrays import ROUNDING, of_unit_length
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import KnownLimb, Matrix, Task, Vector
@@ -237,10 +237,6 @@ def _limb_rows(known: KnownLimb | None, moving: bool) -> tuple[Vector, Matrix]:
     return expected, rows
 
 
-_ROUNDING = 1e-10
-"""Singular values at or below this share of the largest are rounding in the paper's method."""
-
-
 _MULTIPLES, _TURNED_MULTIPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0), (1.0, 10.0)
 """Masses to try, in units of the largest added mass; the second where each is tried with many turns."""
 
@@ -312,7 +308,7 @@ def _by_paper(problem: Problem) -> Vector:
     parts = [(part.uu[:, loads], one.T @ left) for part, one in zip(problem.sets, readings, strict=True)]
     rows, right = stack_equations(problem.basis, parts, problem.added)
     unit, size = of_unit_length(rows)
-    solution = np.linalg.lstsq(unit, right, rcond=_ROUNDING)[0] / size
+    solution = np.linalg.lstsq(unit, right, rcond=ROUNDING)[0] / size
     return np.asarray(solution[-problem.parameters :])
 
 

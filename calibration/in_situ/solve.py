@@ -25,7 +25,13 @@ from surefoot.calibration.arrays import of_unit_length, orthonormal, skew
 from surefoot.calibration.in_situ.colour import Spectrum, likeliest_colour
 from surefoot.calibration.in_situ.compress import SetRows, add_signals, motion_of
 from surefoot.calibration.in_situ.data import Matrix, Vector
-from surefoot.calibration.in_situ.model import AXES, MASS, signal_rotation, signal_rotation_slope
+from surefoot.calibration.in_situ.model import (
+    AXES,
+    MASS,
+    SPREAD_ROUNDING,
+    signal_rotation,
+    signal_rotation_slope,
+)
 from surefoot.calibration.in_situ.problem import Problem
 
 _SEARCHES, _TURNED_SEARCHES = 3, 36
@@ -36,9 +42,6 @@ _AS_GOOD = 10.0
 
 CONVERGED, _EVALUATIONS = 1e-8, 60
 """Relative change of cost, unknowns and slope at which a search ends, and its evaluations at most."""
-
-_ROUNDING = 1e-9
-"""Share of the largest mixture of channels at or below which another is rounding."""
 
 _LEAST_MASS, _SMALL_ANGLE = 1e-3, 1e-4
 """Mass in kg by which unknowns are scaled at least, and angle in rad below which a short series is exact."""
@@ -422,4 +425,4 @@ def _separate_channels(rows: Sequence[SetRows]) -> Matrix:
     unit, size = of_unit_length(np.concatenate(centred))
     _, singular, mixtures = np.linalg.svd(unit, full_matrices=False)
     std = size / np.sqrt(sum(float(np.sum(one.weight**2)) for one in rows))
-    return np.asarray(mixtures[singular > _ROUNDING * singular[0]].T / std[:, None])
+    return np.asarray(mixtures[singular > SPREAD_ROUNDING * singular[0]].T / std[:, None])
