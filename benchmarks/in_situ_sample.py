@@ -19,6 +19,8 @@ from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.files import atomic_path, write_text
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
 
+Floats = NDArray[np.float64]
+
 RATE = 10.0
 DURATION = 60.0
 SEED = 2
@@ -32,26 +34,11 @@ SPEED_DEG = 12.0
 """Highest speed of the hip in deg/s, so that a minute covers its ranges."""
 
 
-class SampleTruth:
-    """The simulator's truth of the sample's sensor.
-
-    Attributes:
-        response: A in counts per N and N m, shape (6, 6).
-        limb_mass: Mass of the limb beyond the sensor in kg, nothing added.
-    """
-
-    def __init__(self, response: NDArray[np.float64], limb_mass: float) -> None:
-        self.response, self.limb_mass = response, limb_mass
-
-
-def make_sample(seed: int = SEED) -> tuple[dict[str, NDArray[np.float64]], list[RigRecording], SampleTruth]:
+def make_sample(seed: int = SEED) -> tuple[dict[str, Floats], list[RigRecording], Floats]:
     """Record eight sets of a minute each with one sensor, switched on once.
 
-    Args:
-        seed: Of everything random.
-
     Returns:
-        The columns of the log, the recordings behind them, and the truth.
+        The columns of the log, the recordings behind them, and the true A in counts per N and N m, (6, 6).
     """
     config = preset("icub-ftsens-leg", StrainGauges)
     sensor, motion = strain_gauges(config), imu(Imu(accelerometer_bias_std=0.005, averaged=True))
@@ -59,7 +46,7 @@ def make_sample(seed: int = SEED) -> tuple[dict[str, NDArray[np.float64]], list[
     state, motion_state = sensor.init((config.channels,), rng), motion.init((6,), rng)
     response = np.array(state.response)
     recordings = record_rig(duration=DURATION, rate=RATE, speed_deg=SPEED_DEG, seed=seed)
-    rows: dict[str, list[NDArray[np.float64]]] = {"time_s": [], "set": [], "raw": [], "imu": []}
+    rows: dict[str, list[Floats]] = {"time_s": [], "set": [], "raw": [], "imu": []}
     for index, recording in enumerate(recordings):
         raw = np.empty((len(recording.time), config.channels))
         felt = np.concatenate([recording.specific_force, recording.angular_velocity], axis=1)
@@ -77,20 +64,12 @@ def make_sample(seed: int = SEED) -> tuple[dict[str, NDArray[np.float64]], list[
     columns |= {f"raw_{i}_count": column for i, column in enumerate(raw.T)}
     columns |= {f"specific_force_{axis}_m_s2": felt[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"angular_velocity_{axis}_rad_s": felt[:, 3 + i] for i, axis in enumerate("xyz")}
-    return columns, recordings, SampleTruth(response, recordings[0].limb_leg.mass)
+    return columns, recordings, response
 
 
 def write_sample(path: Path = SAMPLE, seed: int = SEED) -> Path:
-    """Write the log and the TOML file beside it.
-
-    Args:
-        path: Where, ending in ``.parquet``.
-        seed: Of everything random.
-
-    Returns:
-        The log's path.
-    """
-    columns, recordings, truth = make_sample(seed)
+    """Write the log, as ``.parquet``, and the TOML file beside it; return the log's path."""
+    columns, recordings, _ = make_sample(seed)
     kinds = {"set": pa.int8(), "time_s": pa.float64()}
     table = pa.table(
         {
@@ -98,13 +77,13 @@ def write_sample(path: Path = SAMPLE, seed: int = SEED) -> Path:
             for name, values in columns.items()
         }
     )
-    write_text(path.with_suffix(".toml"), _toml(recordings, truth))
+    write_text(path.with_suffix(".toml"), _toml(recordings))
     with atomic_path(path) as part:
         pq.write_table(table, part, compression="zstd")
     return path
 
 
-def _toml(recordings: list[RigRecording], truth: SampleTruth) -> str:
+def _toml(recordings: list[RigRecording]) -> str:
     config = preset("icub-ftsens-leg", StrainGauges)
     low, high = config.code_range
     lines = [
@@ -127,8 +106,8 @@ def _toml(recordings: list[RigRecording], truth: SampleTruth) -> str:
         'sets = ["1", "2", "3", "4"]  # as the in-situ paper does; the others prove the fit',
         "",
         "[limb]",
-        f"mass_kg = {truth.limb_mass:.3f}  # of a pair of scales: what hangs beyond the sensor, nothing "
-        "added",
+        f"mass_kg = {recordings[0].limb_leg.mass:.3f}  # of a pair of scales: what hangs beyond the sensor, "
+        "nothing added",
     ]
     for recording in recordings:
         lines += ["", "[[sets]]", f'name = "{recording.configuration}"']
@@ -138,7 +117,7 @@ def _toml(recordings: list[RigRecording], truth: SampleTruth) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _list_toml(values: NDArray[np.float64]) -> str:
+def _list_toml(values: Floats) -> str:
     return "[" + ", ".join(f"{value:.9g}" for value in np.asarray(values).tolist()) + "]"
 
 

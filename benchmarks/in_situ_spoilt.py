@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from surefoot.calibration.imu import gravity_from_imu
 from surefoot.calibration.in_situ import InSituFit, InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.in_situ.fit import ErrorColumns, error_covariance
 from surefoot.calibration.results import CalibrationRefused
-from surefoot.envs.leg_rig.recording import RigRecording, record_rig
+from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.in_situ.instruments import (
     SensorTruth,
+    moving_sets,
     read_imu,
     read_sensor,
     sensor_config,
@@ -75,23 +75,12 @@ def record(seed: int, gyroscope: bool, sensor: str = "leg", **rig: Any) -> Log:
     config = sensor_config(sensor)
     counts, truth = read_sensor(config, sensor, recordings, seed)
     felt = read_imu(recordings, seed, IMU)
-    sets = static_sets(sensor, recordings, counts, felt[..., :3])
     if gyroscope:
-        sets = tuple(map(in_motion, sets, felt, recordings, [sensor] * FITTED))
+        sets = moving_sets(sensor, recordings, counts, felt, np.zeros(3), window=7)
+    else:
+        sets = static_sets(sensor, recordings, counts, felt[..., :3])
     loads = np.concatenate([getattr(one, f"wrench_{sensor}") for one in unseen])
     return Log(sets, config.nominal_matrix, truth, loads, InSituOptions(code_range=config.code_range))
-
-
-def in_motion(one: InSituSet, felt: Floats, recording: RigRecording, sensor: str) -> InSituSet:
-    """Return a set with its motion, as the reader of logs takes it from an IMU."""
-    place, window = getattr(recording, f"position_imu_{sensor}"), 7
-    motion = gravity_from_imu(felt[:, :3], felt[:, 3:], dt=1.0 / RATE, position_imu=place, window=window)
-    return replace(
-        one,
-        gravity=motion.gravity,
-        angular_velocity=motion.angular_velocity,
-        angular_acceleration=motion.angular_acceleration,
-    )
 
 
 Change = Callable[[Log], Log]

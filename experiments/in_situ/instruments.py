@@ -37,7 +37,6 @@ per root hertz, 50 m/s^2 and 1200 deg/s of range. Its gyroscope was zeroed at re
 calibrated. The walks are ours: the maker gives none."""
 
 OFFSET_SHIFT = (2.0, 0.05)  # standard deviation of the offsets' jumps between sets, in N and N m
-WINDOW = 15  # samples, an odd number, over which the angular acceleration is taken
 
 _STREAM = 0x1F75
 
@@ -133,13 +132,21 @@ def static_sets(
 
 
 def moving_sets(
-    sensor: str, recordings: Sequence[RigRecording], counts: Floats, readings: Floats, bias: Floats
+    sensor: str,
+    recordings: Sequence[RigRecording],
+    counts: Floats,
+    readings: Floats,
+    bias: Floats,
+    window: int = 15,
 ) -> tuple[InSituSet, ...]:
-    """Return sets of a limb in motion, of an IMU's readings (J, n, 6) and bias in m/s^2, at the sensor."""
+    """Return sets of a limb in motion, of an IMU's readings (J, n, 6) and bias in m/s^2, at the sensor.
+
+    The angular acceleration is taken over a window of samples, an odd number.
+    """
     found = []
     for recording, raw, read in zip(recordings, counts, readings, strict=True):
         place, dt = getattr(recording, f"position_imu_{sensor}"), float(recording.time[1] - recording.time[0])
-        motion = gravity_from_imu(read[:, :3] - bias, read[:, 3:], dt=dt, position_imu=place, window=WINDOW)
+        motion = gravity_from_imu(read[:, :3] - bias, read[:, 3:], dt=dt, position_imu=place, window=window)
         turning = {name: getattr(motion, name) for name in ("angular_velocity", "angular_acceleration")}
         found.append(_set(sensor, recording, raw, motion.gravity, **turning))
     return tuple(found)

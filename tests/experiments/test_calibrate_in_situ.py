@@ -208,7 +208,7 @@ def test_the_sample_is_what_its_script_makes_and_holds_no_truth(
     tmp_path: Path, benchmark_script: Script
 ) -> None:
     script = benchmark_script("in_situ_sample")
-    columns, _, truth = made_so = script.make_sample()
+    columns, _, response = made_so = script.make_sample()
     script.make_sample = lambda seed=None: made_so
     path = script.write_sample(tmp_path / "again.parquet")
     assert path.with_suffix(".toml").read_text() == SAMPLE.with_suffix(".toml").read_text()
@@ -221,7 +221,7 @@ def test_the_sample_is_what_its_script_makes_and_holds_no_truth(
     assert not any("truth" in name for name in columns)
     factory = config_beside(SAMPLE).factory.matrix
     assert factory is not None
-    assert np.abs(factory @ truth.response - np.eye(6)).max() > 0.05
+    assert np.abs(factory @ response - np.eye(6)).max() > 0.05
 
 
 def test_the_makers_matrix_can_be_kept(short: Path, tmp_path: Path, undrawn: None) -> None:
