@@ -300,15 +300,22 @@ def _find_span(part: CompressedSet, acts: Matrix, ends: bool) -> tuple[float, in
 
 
 def _measure_gains(parts: Sequence[CompressedSet], acts: Iterable[Sequence[Matrix]]) -> Vector:
-    """Measure how much of the residuals of sets columns explain, each (m, q) a set, one number for each."""
-    white, _ = orthonormal(np.concatenate([part.residual for part in parts]), SPREAD_ROUNDING)
+    """Measure how much of the residuals of sets columns explain, each (m, q) a set, one number for each.
+
+    Rows are not weighted against drift, which an event looks like: a ramp of each set is taken off instead.
+    """
+    weights, bases, left = [part.source.weight[:, None] for part in parts], [], []
+    for part, weight in zip(parts, weights, strict=True):
+        known = np.column_stack([np.ones(part.rows), np.linspace(-1.0, 1.0, part.rows), part.source.signals])
+        bases.append(orthonormal(weight * known, SPREAD_ROUNDING)[0])
+        read = part.source.columns[:, 1 + part.source.inputs :]
+        left.append(read - bases[-1] @ (bases[-1].T @ read))
+    white, _ = orthonormal(np.concatenate(left), SPREAD_ROUNDING)
     gains = []
     for columns in acts:
-        centred = [part.centre(one) for part, one in zip(parts, columns, strict=True)]
-        z = np.concatenate(
-            [one - part.score @ (part.score.T @ one) for part, one in zip(parts, centred, strict=True)]
-        )
-        seen = np.sum(z**2, axis=0) > SPREAD_ROUNDING * sum(np.sum(one**2, axis=0) for one in centred)
+        added = [weight * one for weight, one in zip(weights, columns, strict=True)]
+        z = np.concatenate([one - basis @ (basis.T @ one) for one, basis in zip(added, bases, strict=True)])
+        seen = np.sum(z**2, axis=0) > SPREAD_ROUNDING * sum(np.sum(one**2, axis=0) for one in added)
         along = orthonormal(z[:, seen], 1e-6)[0] if seen.any() else z[:, :0]
         gains.append(len(z) * float(np.sum((along.T @ white) ** 2)))
     return np.array(gains)

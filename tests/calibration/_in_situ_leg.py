@@ -24,10 +24,22 @@ def sound_fit():
     return calibrate_in_situ(leg_sets(), accept="for all cases")
 
 
-def with_raw(one, change):
-    raw = one.raw.copy()
-    change(raw)
-    return replace(one, raw=raw)
+def read_as(j, change):
+    """Return a way to spoil one set, whose readings are changed."""
+    return lambda sets: [replace(one, raw=change(one.raw)) if i == j else one for i, one in enumerate(sets)]
+
+
+def read_more(j, wrench, first, last=None):
+    """Return a way to spoil one set, which reads a wrench more between two rows."""
+    more = RESPONSE @ wrench
+    return read_as(
+        j, lambda raw: np.concatenate([raw[:first], raw[first:last] + more, raw[last or len(raw) :]])
+    )
+
+
+def read_at(j, channel, change):
+    """Return a way to spoil one set, whose readings of one channel are changed."""
+    return read_as(j, lambda raw: np.insert(np.delete(raw, channel, 1), channel, change(raw[:, channel]), 1))
 
 
 LIMB = KnownLimb(MASS, 0.02, COM, 0.002)

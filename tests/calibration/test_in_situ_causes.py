@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from _in_situ import moving_sets, noisy_sets
-from _in_situ_leg import MATRIX, RESPONSE, leg_sets, with_raw
+from _in_situ_leg import MATRIX, RESPONSE, leg_sets, read_more
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -53,12 +53,7 @@ def test_slopes_are_open_by_how_far_swings_of_like_axes_lie_apart():
     np.testing.assert_array_equal(_doublings([0.0 * load]), 1.0)
 
 
-def leap(raw):
-    raw[350:] += RESPONSE @ [6.0, -4.0, 8.0, 0.3, 0.0, 0.1]
-
-
-def push(raw):
-    raw[300:420] += RESPONSE @ [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2]
+leap = read_more(1, [6.0, -4.0, 8.0, 0.3, 0.0, 0.1], 350)
 
 
 def each(change):
@@ -118,12 +113,12 @@ def gain_of_channel(raw, _, j):
 
 CAUSES = {
     "a step": (
-        lambda s: [s[0], with_raw(s[1], leap), *s[2:]],
+        leap,
         "the zero of 'data set 2' leaps at 35.0 s",
         "Cut the set there into two",
     ),
     "a push": (
-        lambda s: [*s[:3], with_raw(s[3], push)],
+        read_more(3, [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2], 300, 420),
         "something touched the limb in 'data set 4' from 30.0 s to 41.9 s",
         "Leave that time out",
     ),
@@ -243,9 +238,8 @@ def test_a_turned_imu_that_moves_is_named(slower):
 
 
 def test_a_channel_that_follows_from_others_hides_no_cause():
-    sets = leg_sets()
-    sets = [sets[0], with_raw(sets[1], leap), *sets[2:]]
-    wide = [replace(one, raw=np.column_stack([one.raw, one.raw[:, 0] + one.raw[:, 1]])) for one in sets]
+    sums = [(one, one.raw[:, 0] + one.raw[:, 1]) for one in leap(leg_sets())]
+    wide = [replace(one, raw=np.column_stack([one.raw, both])) for one, both in sums]
     with pytest.raises(CalibrationRefused, match="Likeliest: the zero of 'data set 2' leaps at 35"):
         calibrate_in_situ(wide)
 
@@ -253,7 +247,7 @@ def test_a_channel_that_follows_from_others_hides_no_cause():
 def test_a_log_without_noise_names_its_cause():
     sets, _ = noisy_sets("leg", np.random.default_rng(0), noise=0.0)
     with pytest.raises(CalibrationRefused, match="Likeliest: the zero of 'data set 2' leaps at 35"):
-        calibrate_in_situ([sets[0], with_raw(sets[1], leap), *sets[2:]])
+        calibrate_in_situ(leap(sets))
     with pytest.raises(CalibrationRefused, match=r"Likeliest: the added mass of 'data set 3' is 0\.703 kg"):
         calibrate_in_situ([*sets[:2], replace(sets[2], added_mass=0.62), sets[3]])
 

@@ -15,7 +15,7 @@ from _in_situ import (
     random_gravity,
     swept_gravity,
 )
-from _in_situ_leg import COM, MASS, MATRIX, RESPONSE, leg_sets, sound_fit, with_raw
+from _in_situ_leg import COM, MASS, MATRIX, RESPONSE, leg_sets, read_at, read_more, sound_fit
 from scipy.signal import lfilter
 
 from surefoot.calibration.in_situ import InSituOptions, KnownLimb, calibrate_in_situ
@@ -49,11 +49,7 @@ def touching(sets):
     return [*sets[:2], replace(sets[2], raw=sets[2].raw + push @ RESPONSE.T), sets[3]]
 
 
-def bumped(sets):
-    def bump(raw):
-        raw[200:260] += RESPONSE @ [15.0, -20.0, 10.0, 1.0, 0.0, 0.0]
-
-    return [with_raw(sets[0], bump), *sets[1:]]
+bumped = read_more(0, [15.0, -20.0, 10.0, 1.0, 0.0, 0.0], 200, 260)
 
 
 def heavier(sets):
@@ -64,27 +60,12 @@ def misplaced(sets):
     return [*sets[:3], replace(sets[3], added_com=np.add(sets[3].added_com, [0.0, 0.04, 0.0]))]
 
 
-def dead(sets):
-    def constant(raw):
-        raw[:, 3] = 12.0
-
-    return [sets[0], with_raw(sets[1], constant), *sets[2:]]
-
-
 def clipped(sets):
-    top = np.quantile(sets[0].raw[:, 4], 0.9)
-
-    def clip(raw):
-        raw[:, 4] = np.minimum(raw[:, 4], top)
-
-    return [with_raw(sets[0], clip), *sets[1:]], InSituOptions(code_range=(-40000.0, float(top)))
+    top = float(np.quantile(sets[0].raw[:, 4], 0.9))
+    return read_at(0, 4, lambda x: np.minimum(x, top))(sets), InSituOptions(code_range=(-40000.0, top))
 
 
-def empty(sets):
-    def lose(raw):
-        raw[3:, 1] = np.nan
-
-    return [with_raw(sets[0], lose), *sets[1:]]
+empty = read_at(0, 1, lambda x: np.append(x[:3], np.full(len(x) - 3, np.nan)))
 
 
 REFUSALS = {
@@ -105,7 +86,10 @@ REFUSALS = {
         misplaced,
         "Likeliest: the added mass of 'data set 4' hangs at (0.259, 0.025, 0.270) m, and (0.259, 0.065",
     ),
-    "a dead channel": (dead, "'data set 2': channel 3 reads 12 throughout."),
+    "a dead channel": (
+        read_at(1, 3, lambda x: 12.0 + 0.0 * x),
+        "'data set 2': channel 3 reads 12 throughout.",
+    ),
     "a clipped channel": (clipped, "'data set 1': channel 4 is saturated in 10"),
     "no sample": (empty, "'data set 1': 3 of 600 samples are whole, and four are the least."),
     "units of g": (
@@ -276,12 +260,9 @@ def test_a_gyroscope_does_not_hide_the_accelerometer():
 
 
 def test_a_channel_that_is_clipped_below_its_rail_is_named():
-    def clip(raw):
-        raw[:, 4] = np.minimum(raw[:, 4], np.quantile(raw[:, 4], 0.95))
-
-    sets = leg_sets()
+    clip = read_at(1, 4, lambda x: np.minimum(x, np.quantile(x, 0.95)))
     with pytest.raises(CalibrationRefused, match="'data set 2': channel 4 is clipped: 30 samples"):
-        calibrate_in_situ([sets[0], with_raw(sets[1], clip), *sets[2:]])
+        calibrate_in_situ(clip(leg_sets()))
 
 
 @pytest.mark.parametrize("dwell", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
