@@ -13,7 +13,7 @@ Golub and Pereyra, 1973; Jacobian of Kaufman, 1975).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -199,7 +199,7 @@ def solve(problem: Problem, starts: Sequence[Vector], evaluations: int = _EVALUA
 
 def minima(problem: Problem, starts: Sequence[Vector]) -> list[Solution]:
     """Find the minima next to promising starts that fit as well as the best, which comes first."""
-    costs = [float(np.sum(_Residual(problem)(start) ** 2)) for start in starts]
+    costs = [float(np.sum(_residual(_Linear.at(problem, start)) ** 2)) for start in starts]
     promising = np.argsort(costs)[: _TURNED_SEARCHES if problem.rotation else _SEARCHES]
     found = sorted((_search(problem, starts[i]) for i in promising), key=_rank_of)
     lowest = found[0][0]
@@ -218,11 +218,12 @@ def _search(problem: Problem, start: Vector, evaluations: int = _EVALUATIONS) ->
 
     scale = np.ones(problem.outer)
     scale[: problem.parameters] = max(abs(float(start[MASS])), _LEAST_MASS)
-    residual = _Residual(problem)
+    # A search asks for the residual and then for its slopes at one place.
+    inner = lru_cache(1)(lambda key: _Linear.at(problem, np.frombuffer(key) * scale))
     found = least_squares(
-        lambda x: residual(x * scale),
+        lambda x: _residual(inner(x.tobytes())),
         start / scale,
-        jac=lambda x: residual.jacobian(x * scale) * scale,
+        jac=lambda x: _slopes(inner(x.tobytes())) * scale,
         method="lm",
         max_nfev=evaluations,
         **dict.fromkeys(("xtol", "ftol", "gtol"), CONVERGED),
@@ -268,36 +269,22 @@ class _Linear(NamedTuple):
         return np.asarray(rows - (rows @ self.left) @ self.left.T)
 
 
-class _Residual:
-    """Rows less the part that the best response explains, and their slopes, by the outer unknowns."""
+def _residual(inner: _Linear) -> Vector:
+    """Return rows less the part that a response explains: of the sets, the maker's, and the limb's."""
+    problem, (prior, right) = inner.outer.problem, inner.outer.problem.prior
+    known = prior @ inner.response.T.ravel() - right
+    limb = problem.limb_root @ (inner.outer.limb - problem.limb)
+    return np.concatenate([(inner.X @ inner.response - problem.readings).ravel(), known, limb])
 
-    def __init__(self, problem: Problem) -> None:
-        self._problem = problem
-        self._last: tuple[bytes, _Linear] | None = None
 
-    def _at(self, x: Vector) -> _Linear:
-        """Return the inner problem; a search asks for the residual and then for its slopes at one place."""
-        key = x.tobytes()
-        if self._last is None or self._last[0] != key:
-            self._last = key, _Linear.at(self._problem, x)
-        return self._last[1]
-
-    def __call__(self, x: Vector) -> Vector:
-        inner, problem = self._at(x), self._problem
-        prior, right = problem.prior
-        known = prior @ inner.response.T.ravel() - right
-        limb = problem.limb_root @ (inner.outer.limb - problem.limb)
-        return np.concatenate([(inner.X @ inner.response - problem.readings).ravel(), known, limb])
-
-    def jacobian(self, x: Vector) -> Matrix:
-        """Return Kaufman's Jacobian: the part of dX A' that the response cannot explain."""
-        inner, problem = self._at(x), self._problem
-        axes = _jacobian_of_rotation(inner.outer.vector) if problem.rotation else np.eye(3)
-        moved = inner.outer.derivatives(axes) @ inner.response
-        free = inner.free(moved, len(problem.prior[1])).T
-        known = np.zeros((len(problem.limb_root), problem.outer))
-        known[:, : problem.parameters] = problem.limb_root
-        return np.concatenate([free, known])
+def _slopes(inner: _Linear) -> Matrix:
+    """Return Kaufman's Jacobian by the outer unknowns: the part of dX A' that the response cannot explain."""
+    problem = inner.outer.problem
+    axes = _jacobian_of_rotation(inner.outer.vector) if problem.rotation else np.eye(3)
+    moved = inner.outer.derivatives(axes) @ inner.response
+    known = np.zeros((len(problem.limb_root), problem.outer))
+    known[:, : problem.parameters] = problem.limb_root
+    return np.concatenate([inner.free(moved, len(problem.prior[1])).T, known])
 
 
 def _jacobian_of_rotation(vector: Vector) -> Matrix:
@@ -313,25 +300,25 @@ def _jacobian_of_rotation(vector: Vector) -> Matrix:
 
 def expand(problem: Problem, x: Vector, response: Matrix | None = None) -> Solution:
     """Return all that follows from outer unknowns (phi_b, rotation vector), and from A if it is given."""
-    outer, X, white, *_ = _Linear.at(problem, x)
+    inner = _Linear.at(problem, x)
     if response is not None:
-        white = response.T @ problem.whitening.T
-    rows, channels = X @ white - problem.readings, problem.readings.shape[1]
-    linear = np.einsum("ra,ij->rija", X, np.eye(channels)).reshape(rows.size, -1)
+        inner = inner._replace(response=response.T @ problem.whitening.T)
+    outer, white, residual = inner.outer, inner.response, _residual(inner)
+    channels = problem.readings.shape[1]
+    linear = np.einsum("ra,ij->rija", inner.X, np.eye(channels)).reshape(problem.readings.size, -1)
     bilinear = (outer.derivatives(np.eye(3)) @ white).reshape(problem.outer, -1).T
-    prior, right = problem.prior
+    prior, _ = problem.prior
     known = np.zeros((len(prior) + len(problem.limb_root), linear.shape[1] + problem.outer))
     known[: len(prior), : linear.shape[1]] = prior
     known[len(prior) :, linear.shape[1] : linear.shape[1] + problem.parameters] = problem.limb_root
-    off = np.concatenate([prior @ white.T.ravel() - right, problem.limb_root @ (outer.limb - problem.limb)])
     return Solution(
         problem=problem,
         outer=x,
         response=np.asarray(np.linalg.solve(problem.whitening, white.T)),
         rotation=outer.rotation,
         jacobian=np.concatenate([np.column_stack([linear, bilinear]), known]),
-        residual=rows.reshape(len(problem.sets), -1, channels),
-        cost=0.5 * float(np.sum(rows**2) + off @ off),
+        residual=residual[: problem.readings.size].reshape(len(problem.sets), -1, channels),
+        cost=0.5 * float(residual @ residual),
     )
 
 
