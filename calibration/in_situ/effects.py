@@ -251,10 +251,10 @@ class _Motion(NamedTuple):
 
         bodies = fit.limb + fit.problem.added
         turns = [_turn(load, body) for load, body in zip(loads, bodies, strict=True)]
-        near = lag([load + _STEP * turn.load for load, turn in zip(loads, turns, strict=True)])
+        near = lag([load + _STEP * slope for load, (slope, _) in zip(loads, turns, strict=True)])
         columns = [
-            np.column_stack([((there - here) / _STEP)[:, _TORQUES] * turn.per_moment, here])
-            for there, here, turn in zip(near, lag(loads), turns, strict=True)
+            np.column_stack([((there - here) / _STEP)[:, _TORQUES] * share, here])
+            for there, here, (_, share) in zip(near, lag(loads), turns, strict=True)
         ]
         slopes = np.zeros((len(_TORQUES), AXES, self.plain.parameters))
         slopes[range(len(_TORQUES)), _TORQUES, _MOMENTS] = shares[_TORQUES]
@@ -285,23 +285,19 @@ _TORQUES, _MOMENTS = np.array([3, 3, 4, 4, 5, 5]), np.array([2, 3, 1, 3, 1, 2])
 """Torques, and the first moments among the parameters that they depend on."""
 
 
-class _Turn(NamedTuple):
-    """A first moment that turns a little about each axis; one that grows only makes a lag larger."""
+def _turn(load: Matrix, body: Vector) -> tuple[Matrix, Vector]:
+    """Turn a first moment a little about each axis; one that grows only makes a lag larger.
 
-    load: Matrix
-    """Slope of the loads by the share of hysteresis, (n, 6)."""
-    per_moment: Vector
-    """Its share, by each first moment that torques depend on, (6,)."""
-
-
-def _turn(load: Matrix, body: Vector) -> _Turn:
+    Returns:
+        Slopes of the loads, (n, 6), and their shares by each first moment that torques depend on, (6,).
+    """
     moment = body[MOMENT]
     size = float(np.linalg.norm(moment)) + np.finfo(float).tiny
     across = np.cross(np.eye(3), moment)
     across /= np.linalg.norm(across, axis=1, keepdims=True) + np.finfo(float).tiny
     torque = np.einsum("ana->na", np.cross(across[:, None], load[:, :3]))
     added = np.concatenate([np.zeros_like(torque), size / body[MASS] * torque], axis=1)
-    return _Turn(added, across[_TORQUES - 3, _MOMENTS - 1] / size)
+    return added, across[_TORQUES - 3, _MOMENTS - 1] / size
 
 
 def _creeps(wrenches: Sequence[Matrix], steps: Sequence[float]) -> list[Matrix]:

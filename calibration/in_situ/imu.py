@@ -336,12 +336,7 @@ thresholds of ratio 3 in the place of 2 feign a tenth."""
 
 
 class DelayLeft(NamedTuple):
-    """By how much gravity is still late beside all that a fit explains.
-
-    Attributes:
-        delay: In s; negative where it is early.
-        std: Its deviation.
-    """
+    """By how much gravity is still late beside all that a fit explains in s, and its deviation."""
 
     delay: float
     std: float
