@@ -26,6 +26,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import InSituFit, InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
+from surefoot.calibration.in_situ.data import change_motion, read_later
 from surefoot.calibration.in_situ.fit import ErrorColumns, error_covariance
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.envs.leg_rig.recording import record_rig
@@ -148,14 +149,7 @@ def clip(share: float, chosen: int, channel: int) -> Change:
 def turn(angles: list[float]) -> Change:
     """Let the IMU be built in turned, by degrees about x, y and z."""
     R = Rotation.from_euler("xyz", angles, degrees=True).as_matrix().T
-
-    def change(one: InSituSet) -> InSituSet:
-        spin, rate = one.angular_velocity, one.angular_acceleration
-        if spin is None or rate is None:
-            return replace(one, gravity=one.gravity @ R)
-        return replace(one, gravity=one.gravity @ R, angular_velocity=spin @ R, angular_acceleration=rate @ R)
-
-    return each(change)
+    return each(lambda one: change_motion(one, lambda values: values @ R))
 
 
 def scale_masses(mass: float, place: float = 1.0, chosen: tuple[int, ...] = (0, 1, 2, 3)) -> Change:
@@ -614,19 +608,8 @@ def noisy(size: float) -> Callable[[Log, int], Log]:
 
 def late(delay: float) -> Callable[[Log, int], Log]:
     """Let the IMU's readings come late by a time in s."""
-
-    def change(one: InSituSet) -> InSituSet:
-        assert one.time is not None
-
-        def before(values: Floats | None, time: Floats = one.time) -> Floats | None:
-            if values is None:
-                return None
-            return np.stack([np.interp(time - delay, time, column) for column in values.T], axis=1)
-
-        columns = {name: before(getattr(one, name)) for name in (*MOTION, "gravity")}
-        return replace(one, **columns)  # type: ignore[arg-type]
-
-    return lambda log, _: each(change)(log)
+    change = each(lambda one: change_motion(one, lambda values: read_later(values, one, -delay)))
+    return lambda log, _: change(log)
 
 
 def rows(stride: int, times: bool) -> Callable[[Log, int], Log]:

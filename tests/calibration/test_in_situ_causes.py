@@ -14,7 +14,7 @@ from surefoot.calibration.in_situ import calibrate_in_situ
 from surefoot.calibration.in_situ.calibrate import _gather_evidence
 from surefoot.calibration.in_situ.causes import _try_bending, _try_reading
 from surefoot.calibration.in_situ.covariance import _doublings
-from surefoot.calibration.in_situ.data import InSituOptions, Task
+from surefoot.calibration.in_situ.data import InSituOptions, Task, change_motion
 from surefoot.calibration.in_situ.solve import deviance, solve
 from surefoot.calibration.results import CalibrationRefused
 
@@ -220,15 +220,9 @@ def test_a_turned_imu_that_moves_is_named(slower):
     """Slow turning that nobody gave is felt: it explains more of the readings, and is not to blame."""
     sets, _ = moving_sets(np.random.default_rng(5), noise=1.0 if slower == 1.0 else 0.5, slower=slower)
     R = Rotation.from_euler("xyz", [6.0, 4.0, -7.0], degrees=True).as_matrix()
-    turned = [
-        replace(
-            one,
-            gravity=one.gravity @ R,
-            angular_velocity=one.angular_velocity @ R if slower == 1.0 else None,
-            angular_acceleration=one.angular_acceleration @ R if slower == 1.0 else None,
-        )
-        for one in sets
-    ]
+    turned = [change_motion(one, lambda values: values @ R) for one in sets]
+    if slower > 1.0:
+        turned = [replace(one, angular_velocity=None, angular_acceleration=None) for one in turned]
     words = "the IMU is turned by (.*) degrees"
     with pytest.raises(CalibrationRefused, match=f"Likeliest: {words}") as raised:
         calibrate_in_situ(turned)

@@ -9,6 +9,7 @@ from _in_situ import SENSORS, make_set, moving_sets, noisy_sets, swept_gravity
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
+from surefoot.calibration.in_situ.data import change_motion, read_later
 from surefoot.calibration.in_situ.imu import fit_sphere, level
 from surefoot.calibration.results import CalibrationRefused, Finding, FitResult, decide
 
@@ -148,22 +149,7 @@ def test_an_absurd_answer_is_refused_however_well_it_fits():
 def swinging_sets(rng, late):
     """Swings of a leg, with an IMU that is late by so many s."""
     sets, _ = moving_sets(rng, noise=1.0)
-    found = []
-    for one in sets:
-        then = one.time - late
-
-        def before(values, then=then, now=one.time):
-            return np.stack([np.interp(then, now, column) for column in values.T], axis=1)
-
-        found.append(
-            replace(
-                one,
-                gravity=before(one.gravity),
-                angular_velocity=before(one.angular_velocity),
-                angular_acceleration=before(one.angular_acceleration),
-            )
-        )
-    return found
+    return [change_motion(one, lambda values, one=one: read_later(values, one, -late)) for one in sets]
 
 
 @pytest.mark.parametrize("late", [pytest.param(0.005, marks=pytest.mark.slow), 0.03])
