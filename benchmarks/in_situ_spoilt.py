@@ -138,12 +138,11 @@ def read(wrench: list[float], chosen: int, begin: float, end: float) -> Change:
 def clip(share: float, chosen: int, channel: int) -> Change:
     """Let a channel of a set end below the converter's rail."""
 
-    def change(one: InSituSet) -> InSituSet:
-        raw = one.raw.copy()
-        raw[:, channel] = np.minimum(raw[:, channel], np.quantile(raw[:, channel], 1.0 - share))
-        return replace(one, raw=raw)
+    def change(raw: Floats, _: InSituSet, __: Log, j: int) -> Floats:
+        top = np.quantile(raw[:, channel], 1.0 - share)
+        return column(raw, channel, np.minimum(raw[:, channel], top)) if j == chosen else raw
 
-    return each(change, (chosen,))
+    return readings(change)
 
 
 def turn(angles: list[float]) -> Change:
@@ -183,14 +182,6 @@ def entry(row: int, column: int, factor: float) -> Change:
         return spoilt
 
     return factory(change)
-
-
-def unit_rows(matrix: Floats) -> Floats:
-    return np.concatenate([matrix[:3], 1000.0 * matrix[3:]])
-
-
-def invert(matrix: Floats) -> Floats:
-    return np.asarray(np.linalg.inv(matrix))
 
 
 def readings(change: Callable[[Floats, InSituSet, Log, int], Floats], first: int = 0) -> Change:
@@ -361,9 +352,11 @@ SPOILTS: dict[str, Spoilt] = {
         {f"{100 * s - 100:+.0f} %": vectors(lambda g, s=s: s * g) for s in (1.05, 1.12, 0.88)},  # type: ignore[misc]
     ),
     "factory transposed": Spoilt(WHOLE, {"": factory(lambda F: F.T)}, (True,)),
-    "factory inverted": Spoilt(WHOLE, {"": factory(invert)}, (True,)),
+    "factory inverted": Spoilt(WHOLE, {"": factory(lambda F: np.asarray(np.linalg.inv(F)))}, (True,)),
     "factory torques first": Spoilt(WHOLE, {"": factory(lambda F: np.roll(F, 3, axis=0))}, (True,)),
-    "factory in N mm": Spoilt(WHOLE, {"": factory(unit_rows)}, (True,)),
+    "factory in N mm": Spoilt(
+        WHOLE, {"": factory(lambda F: F * np.repeat([[1.0], [1e3]], 3, axis=0))}, (True,)
+    ),
     "factory negated": Spoilt(SIGN, {"": factory(np.negative)}, (True,)),
     "gravity negated": Spoilt(SIGN, {"": vectors(np.negative)}, (True,)),
     "factory entry": Spoilt(
