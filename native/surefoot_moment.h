@@ -145,10 +145,10 @@ typedef struct {
    severity l of offsets. */
 typedef struct {
     sf_real pull[SF_JUDGED], off[SF_JUDGED]; /* what pulls, and the mean less the start */
-    sf_real U[4 * SF_CHANNELS * SF_CHANNELS], W[4 * SF_CHANNELS * SF_CHANNELS], S[4 * SF_CHANNELS * SF_CHANNELS];
-    sf_real z[4 * SF_CHANNELS], x[4 * SF_CHANNELS];
+    sf_real U[4 * SF_CHANNELS * SF_CHANNELS], W[4 * SF_CHANNELS * SF_CHANNELS], z[4 * SF_CHANNELS];
+    sf_real V[16 * SF_CHANNELS * SF_CHANNELS], y[16 * SF_CHANNELS];
     sf_real weight[16], evidence; /* of each severity, and of all together */
-    sf_real factor[SF_JUDGED * SF_JUDGED]; /* L of the covariance L L', if it is positive definite */
+    sf_real factor[SF_JUDGED * SF_JUDGED]; /* U of the covariance U' U, if it is positive definite */
     int factored;
     int sound[4];                 /* whether U is of numbers */
 } sf_compared;
@@ -158,10 +158,10 @@ typedef struct {
     sf_moment_rows rows;
     sf_leap leap;
     sf_compared compared[SF_MODES];
-    sf_real std[SF_JUDGED], inverse[SF_SEVERITIES * SF_JUDGED]; /* of priors */
+    sf_real std[SF_JUDGED], per_std[SF_JUDGED], inverse[SF_SEVERITIES * SF_JUDGED]; /* of priors */
     sf_real ahead[16]; /* logarithms of how likely severities are, and of their priors' determinants */
     sf_real A[SF_STATES * SF_STATES], B[SF_STATES * SF_STATES], axes[SF_JUDGED * SF_JUDGED], room[4 * SF_STATES];
-    sf_real own[4 * SF_CHANNELS * SF_CHANNELS], shared[4 * SF_CHANNELS * SF_CHANNELS], found[16 * SF_JUDGED];
+    sf_real answer[16 * SF_JUDGED], shared[4 * SF_CHANNELS * SF_CHANNELS], found[16 * SF_JUDGED];
     sf_real turned[4 * SF_CHANNELS * SF_CHANNELS], quads[4 * SF_CHANNELS * SF_CHANNELS];
     sf_real unit[SF_BLOCK * SF_COMPONENTS * SF_CHANNELS], force[SF_BLOCK * SF_CHANNELS];
     sf_publication published;
@@ -545,10 +545,20 @@ SF_API void sf_begin(sf_real *mean, sf_real *P, int N, int first, int count) {
     }
 }
 
-/* The lower half of a symmetric matrix, into its upper half. */
+/* The lower half of a symmetric matrix, into its upper half: two columns at once. */
 SF_API void sf_mirror(sf_real *P, int N) {
-    for (int i = 1; i < N; i++)
-        for (int k = 0; k < i; k++) P[k * N + i] = P[i * N + k];
+    for (int i = 0; i < N; i += 2) {
+        const sf_real *one = P + i * N, *two = i + 1 < N ? one + N : one;
+        sf_real *to = P + i;
+        for (int k = 0; k < i; k++, to += N) to[0] = one[k], to[two != one] = two[k];
+        if (two != one) to[1] = two[i];
+    }
+}
+
+/* n, rounded up to a multiple of 8, but at most `most`. */
+SF_API int sf_rounded(int n, int most) {
+    int up = (n + 7) / 8 * 8;
+    return up < most ? up : most;
 }
 
 /* mix: let modes turn into each other. */
@@ -609,25 +619,19 @@ SF_API void sf_mix(const sf_config *c, const sf_moment_config *m, const sf_modes
    and not estimated. S: what the innovation is expected to be. */
 SF_API int sf_moment_update(sf_real *mean, sf_real *P, int N, int rows, const sf_real *predicted, const sf_real *innovation,
                               const sf_real *S, int first, int last, sf_real *room) {
-    sf_real L[SF_AT_ONCE * SF_AT_ONCE], *gain = room, *rest = room + rows * N;
+    sf_real L[SF_AT_ONCE * SF_AT_ONCE], *rest = room, *gain = room + rows * N;
     sf_copy(L, S, rows * rows);
     if (!sf_cholesky(L, rows)) return 0;
     sf_copy(gain, predicted, rows * N);
     sf_solve(L, rows, gain, N);
     for (int r = 0; r < rows; r++)
         for (int i = first; i < last; i++) gain[r * N + i] = 0;
-    /* P - G A - A' G' + G S G', with A = H P: as it is symmetric, its lower half. */
+    /* P - G A - A' G' + G S G', with A = H P. */
     sf_multiply(rest, S, gain, rows, rows, N);
-    for (int i = 0; i < rows * N; i++) rest[i] -= predicted[i];
-    for (int i = 0; i < N; i++) {
-        sf_real *row = P + i * N;
-        for (int r = 0; r < rows; r++) {
-            sf_real by = -gain[r * N + i], other = rest[r * N + i];
-            const sf_real *one = predicted + r * N, *two = gain + r * N;
-            mean[i] -= by * innovation[r];
-            for (int k = 0; k <= i; k++) row[k] += by * one[k] + other * two[k];
-        }
-    }
+    for (int i = 0; i < rows * N; i++) rest[i] = predicted[i] - rest[i];
+    sf_copy(gain + rows * N, predicted, rows * N);
+    for (int r = 0; r < rows; r++) sf_add(mean, innovation[r], gain + r * N, N);
+    for (int i = 0; i < N; i++) sf_add_rows(P + i * N, -1, rest + i, N, gain, N, 2 * rows, sf_rounded(i + 1, N));
     sf_mirror(P, N);
     return 1;
 }
@@ -730,6 +734,7 @@ SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, sf_real dri
     for (int i = 0; i < K; i++) {
         w->std[i] = sf_sqrt(square * (m->spread_scale[i] + drifted / square));
         w->std[K + i] = sf_sqrt(square * m->spread_offset[i]);
+        w->per_std[i] = 1 / w->std[i], w->per_std[K + i] = 1 / w->std[K + i];
     }
     for (int l = 0; l < SF_SEVERITIES; l++) {
         sf_real by = m->severities[l] * m->severities[l], *inverse = w->inverse + l * M;
@@ -745,32 +750,44 @@ SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, sf_real dri
 }
 
 /* Four matrices at once, as none of their numbers wait for another's: number k of all four is at 4 * k and behind. They
-   are symmetric, or triangular with their upper halves. */
+   are symmetric, or triangular with their upper halves, and have the inverses of factors' diagonals in these' places. */
 
 /* to += sign * sum of factor[k * apart] * B[k * wide ...] over `inner` rows, of n quadruples each. */
 SF_API void sf_add_quads(sf_real *__restrict to, sf_real sign, const sf_real *factor, int apart, const sf_real *B,
                          int wide, int inner, int n) {
-    int k = 0;
-    for (; k + 2 <= inner; k += 2) {
-        const sf_real *f = factor + k * apart, *g = f + apart, *a = B + k * wide, *b = a + wide;
-        sf_real p[4], q[4];
-        for (int l = 0; l < 4; l++) p[l] = sign * f[l], q[l] = sign * g[l];
-        for (int i = 0; i < 4 * n; i += 4)
-            for (int l = 0; l < 4; l++) to[i + l] = to[i + l] + p[l] * a[i + l] + q[l] * b[i + l];
-    }
-    for (; k < inner; k++) {
-        const sf_real *f = factor + k * apart, *a = B + k * wide;
-        sf_real p[4];
-        for (int l = 0; l < 4; l++) p[l] = sign * f[l];
-        for (int i = 0; i < 4 * n; i += 4)
-            for (int l = 0; l < 4; l++) to[i + l] += p[l] * a[i + l];
-    }
+    for (; n >= 4; n -= 4, to += 16, B += 16)
+        for (int l = 0; l < 4; l += SF_WIDE) {
+            sf_wide a = *sf_at(to + l), b = *sf_at(to + 4 + l), c = *sf_at(to + 8 + l), d = *sf_at(to + 12 + l);
+            for (int k = 0; k < inner; k++) {
+                const sf_real *row = B + k * wide + l;
+                sf_wide by = sign * *sf_from(factor + k * apart + l);
+                a += by * *sf_from(row), b += by * *sf_from(row + 4);
+                c += by * *sf_from(row + 8), d += by * *sf_from(row + 12);
+            }
+            *sf_at(to + l) = a, *sf_at(to + 4 + l) = b, *sf_at(to + 8 + l) = c, *sf_at(to + 12 + l) = d;
+        }
+    for (; n > 0; n--, to += 4, B += 4)
+        for (int l = 0; l < 4; l += SF_WIDE) {
+            sf_wide a = *sf_at(to + l);
+            for (int k = 0; k < inner; k++) a += sign * *sf_from(factor + k * apart + l) * *sf_from(B + k * wide + l);
+            *sf_at(to + l) = a;
+        }
 }
 
-/* n quadruples times one. */
-SF_API void sf_scale_quads(sf_real *to, const sf_real by[4], int n) {
-    for (int i = 0; i < 4 * n; i += 4)
-        for (int l = 0; l < 4; l++) to[i + l] *= by[l];
+/* The same of one number of each of 16 matrices, with as many factors. */
+SF_API void sf_add_all(sf_real *__restrict to, sf_real sign, const sf_real *factor, int apart, const sf_real *B, int wide,
+                       int inner) {
+    sf_wide sum[16 / SF_WIDE];
+    for (int q = 0; q < 16 / SF_WIDE; q++) sum[q] = *sf_from(to + q * SF_WIDE);
+    for (int k = 0; k < inner; k++, factor += apart, B += wide)
+        for (int q = 0; q < 16 / SF_WIDE; q++) sum[q] += sign * *sf_from(factor + q * SF_WIDE) * *sf_from(B + q * SF_WIDE);
+    for (int q = 0; q < 16 / SF_WIDE; q++) *sf_at(to + q * SF_WIDE) = sum[q];
+}
+
+/* n numbers of each of `lanes` matrices times one. */
+SF_API void sf_scale_lanes(sf_real *to, const sf_real *by, int lanes, int n) {
+    for (int i = 0; i < n; i++)
+        for (int l = 0; l < lanes; l += SF_WIDE) *sf_at(to + i * lanes + l) *= *sf_from(by + l);
 }
 
 /* to += the sums of n quadruples. */
@@ -778,19 +795,33 @@ SF_API void sf_add_lanes(sf_real *to, const sf_real *quads, int n) {
     for (int i = 0; i < n; i++) to[i] += (quads[4 * i] + quads[4 * i + 1]) + (quads[4 * i + 2] + quads[4 * i + 3]);
 }
 
-/* Overwrite A with U, A = U' U; the logarithms of the determinants, NaN of those that are not positive definite. */
+/* Put the inverses of roots of pivots in their place, and add the logarithms of the determinant; NaN without a root. */
+SF_API void sf_find_roots(sf_real *pivot, int lanes, sf_real *product, sf_real *size, int add) {
+    for (int l = 0; l < lanes; l++) pivot[l] = 1 / sf_sqrt(pivot[l] > 0 ? pivot[l] : (sf_real)NAN);
+    for (int l = 0; l < lanes; l++) product[l] *= pivot[l];
+    for (int l = 0; add && l < lanes; l++) size[l] -= 2 * sf_log(product[l]), product[l] = 1;
+}
+
+/* Overwrite four or all A with U, A = U' U; the logarithms of the determinants, NaN of those that are not positive
+   definite. */
 SF_API void sf_factor_quads(sf_real *A, int n, sf_real size[4]) {
-    sf_real by[4], product[4] = {1, 1, 1, 1};
+    sf_real product[4] = {1, 1, 1, 1};
     for (int l = 0; l < 4; l++) size[l] = 0;
     for (int i = 0; i < n; i++) {
         sf_real *row = A + 4 * (i * n + i);
         sf_add_quads(row, -1, A + 4 * i, 4 * n, A + 4 * i, 4 * n, i, n - i);
-        for (int l = 0; l < 4; l++) by[l] = 1 / sf_sqrt(row[l] > 0 ? row[l] : (sf_real)NAN);
-        sf_scale_quads(row, by, n - i);
-        for (int l = 0; l < 4; l++) {
-            product[l] *= row[l];
-            if (i % 4 == 3 || i == n - 1) size[l] += 2 * sf_log(product[l]), product[l] = 1;
-        }
+        sf_find_roots(row, 4, product, size, i % 8 == 7 || i == n - 1);
+        sf_scale_lanes(row + 4, row, 4, n - i - 1);
+    }
+}
+SF_API void sf_factor_all(sf_real *A, int n, sf_real size[16]) {
+    sf_real product[16];
+    for (int l = 0; l < 16; l++) size[l] = 0, product[l] = 1;
+    for (int i = 0; i < n; i++) {
+        sf_real *row = A + 16 * i * n;
+        for (int j = i; j < n; j++) sf_add_all(row + 16 * j, -1, A + 16 * i, 16 * n, A + 16 * j, 16 * n, i);
+        sf_find_roots(row + 16 * i, 16, product, size, i % 8 == 7 || i == n - 1);
+        sf_scale_lanes(row + 16 * (i + 1), row + 16 * i, 16, n - i - 1);
     }
 }
 
@@ -798,78 +829,108 @@ SF_API void sf_factor_quads(sf_real *A, int n, sf_real size[4]) {
 SF_API void sf_solve_quads(const sf_real *U, int n, sf_real *B, int columns, int upper) {
     for (int step = 0; step < n; step++) {
         int i = upper ? n - 1 - step : step;
-        sf_real by[4], *row = B + 4 * i * columns;
+        sf_real *row = B + 4 * i * columns;
         const sf_real *own = U + 4 * (i * n + i);
         if (upper) sf_add_quads(row, -1, own + 4, 4, row + 4 * columns, 4 * columns, n - i - 1, columns);
         else sf_add_quads(row, -1, U + 4 * i, 4 * n, B, 4 * columns, i, columns);
-        for (int l = 0; l < 4; l++) by[l] = 1 / own[l];
-        sf_scale_quads(row, by, columns);
+        sf_scale_lanes(row, own, 4, columns);
+    }
+}
+SF_API void sf_solve_all(const sf_real *U, int n, sf_real *b, int upper) {
+    for (int step = 0; step < n; step++) {
+        int i = upper ? n - 1 - step : step;
+        const sf_real *own = U + 16 * (i * n + i);
+        if (upper) sf_add_all(b + 16 * i, -1, own + 16, 16, b + 16 * (i + 1), 16, n - i - 1);
+        else sf_add_all(b + 16 * i, -1, U + 16 * i, 16 * n, b, 16, i);
+        sf_scale_lanes(b + 16 * i, own, 16, 1);
     }
 }
 
 /* The inverses of U' U, all of their numbers, in `out`; U becomes U'^-1, in its lower half. */
 SF_API void sf_invert_quads(sf_real *U, int n, sf_real *out) {
     for (int i = 0; i < n; i++) {
-        sf_real by[4], *row = U + 4 * i * n, *here = out + 4 * i * n;
-        for (int l = 0; l < 4; l++) by[l] = 1 / row[4 * i + l];
+        sf_real *here = out + 4 * i * n, *own = U + 4 * (i * n + i);
         memset(here, 0, (size_t)(4 * n) * sizeof(sf_real));
         sf_add_quads(here, -1, U + 4 * i, 4 * n, out, 4 * n, i, i);
-        sf_scale_quads(here, by, i);
-        for (int l = 0; l < 4; l++) here[4 * i + l] = by[l];
+        sf_scale_lanes(here, own, 4, i);
+        sf_copy(here + 4 * i, own, 4);
     }
     for (int i = 0; i < n; i++) sf_copy(U + 4 * i * n, out + 4 * i * n, 4 * (i + 1));
     for (int i = 0; i < n; i++) {
         sf_real *here = out + 4 * i * n;
         memset(here, 0, (size_t)(4 * (i + 1)) * sizeof(sf_real));
         sf_add_quads(here, 1, U + 4 * (i * n + i), 4 * n, U + 4 * i * n, 4 * n, n - i, i + 1);
-        for (int k = 0; k < i; k++)
-            for (int l = 0; l < 4; l++) out[4 * (k * n + i) + l] = here[4 * k + l];
     }
 }
 
-/* Overwrite the factor L of A = L L' with the lower half of the inverse of A; room: for n^2 numbers. */
-SF_API void sf_inverse(sf_real *L, int n, sf_real *room) {
+/* The weighted sums over severities of scales of the inverses of U' U, all of their numbers, in `out`; U becomes U'^-1 in
+   its lower half. */
+SF_API void sf_sum_inverses(sf_real *U, int n, const sf_real weight[16], sf_real *out) {
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < i; j++) {
+            sf_real *here = U + 16 * (i * n + j);
+            memset(here, 0, 16 * sizeof(sf_real));
+            sf_add_all(here, -1, U + 16 * (j * n + i), 16 * n, U + 16 * (j * n + j), 16 * n, i - j);
+            sf_scale_lanes(here, U + 16 * (i * n + i), 16, 1);
+        }
+    for (int l = 0; l < 16; l++) /* of no weight, and in no number's way */
+        for (int k = 0; !(weight[l] > 0) && k < n * n; k++) U[16 * k + l] = 0;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            sf_real sum[16] = {0}, *here = out + 4 * (i * n + j);
+            sf_add_all(sum, 1, U + 16 * (i * n + i), 16 * n, U + 16 * (i * n + j), 16 * n, n - i);
+            for (int l = 0; l < 4; l++)
+                here[l] = weight[l] * sum[l] + weight[4 + l] * sum[4 + l] + weight[8 + l] * sum[8 + l] +
+                          weight[12 + l] * sum[12 + l];
+            sf_copy(out + 4 * (j * n + i), here, 4);
+        }
+}
+
+/* The inverse of U' U into `out`, all of it; U becomes U'^-1. Rows are as wide as registers, of zeros then. */
+SF_API void sf_inverse(sf_real *U, int n, sf_real *out) {
     for (int i = 0; i < n; i++) {
-        sf_real *row = room + i * n, by = 1 / L[i * n + i];
+        sf_real *row = out + i * n, by = 1 / U[i * n + i];
         memset(row, 0, (size_t)n * sizeof(sf_real));
-        sf_add_rows(row, -by, L + i * n, 1, room, n, i, i);
+        sf_add_rows(row, -by, U + i, n, out, n, i, sf_rounded(i, n));
         row[i] = by;
     }
-    for (int i = 0; i < n; i++) {
-        sf_real *row = L + i * n;
-        memset(row, 0, (size_t)(i + 1) * sizeof(sf_real));
-        sf_add_rows(row, 1, room + i * n + i, n, room + i * n, n, n - i, i + 1);
-    }
+    sf_copy(U, out, n * n);
+    memset(out, 0, (size_t)(n * n) * sizeof(sf_real));
+    for (int i = 0; i < n; i++)
+        sf_add_rows(out + i * n, 1, U + i * n + i, n, U + i * n, n, n - i, sf_rounded(i + 1, n));
+    sf_mirror(out, n);
 }
 
-/* The information of the data alone, P^-1 - P0^-1, in its lower half, what pulls, and the evidence of the wide prior:
-   the lower half of `S` is the covariance in standard deviations of that prior. Directions in which it is wider say
-   nothing. */
+/* The information of the data alone, P^-1 - P0^-1, what pulls, and the evidence of the wide prior: the upper half of `S`
+   is the covariance in standard deviations of that prior. Directions in which it is wider say nothing. */
 SF_API int sf_information(const sf_config *c, const sf_moment_config *m, sf_real *S, sf_moment_work *w, sf_compared *d,
                           sf_real *mine) {
     int M = 2 * c->channels;
-    sf_real *room = w->A, *share = w->room, *L = w->axes, *pull = d->pull, *off = d->off, own = 0, most = 0;
+    sf_real *room = w->A, *share = w->room, *U = w->axes, *pull = d->pull, *off = d->off, product = 1, own = 0, most = 0;
     sf_copy(d->factor, S, M * M);
     d->factored = sf_cholesky(d->factor, M);
     /* If it is wider nowhere, an inverse is all. */
     for (int i = 0; i < M * M; i++) room[i] = -S[i];
     for (int i = 0; i < M; i++) room[i * M + i] += 1 + SF_EQUAL;
     if (d->factored && sf_cholesky(room, M)) {
-        sf_copy(L, d->factor, M * M);
-        for (int i = 0; i < M; i++) own += sf_log(L[i * M + i]);
-        sf_inverse(L, M, room);
-        for (int i = 0; i < M; i++) most = sf_max(most, L[i * M + i]);
+        sf_copy(U, d->factor, M * M);
+        for (int i = 0; i < M; i++) {
+            product *= U[i * M + i];
+            if (i % 8 == 7 || i == M - 1) own += sf_log(product), product = 1;
+        }
+        sf_inverse(U, M, room);
+        for (int i = 0; i < M; i++) most = sf_max(most, room[i * M + i]);
         if (most * m->least_share < (sf_real)0.1) {
-            sf_mirror(L, M);
-            for (int i = 0; i < M; i++) pull[i] = sf_dot(L + i * M, off, M);
+            for (int i = 0; i < M; i++) pull[i] = sf_dot(room + i * M, off, M);
             *mine = (sf_real)0.5 * sf_dot(off, pull, M) + own;
-            sf_copy(S, L, M * M);
+            sf_copy(S, room, M * M);
             for (int i = 0; i < M; i++) S[i * M + i] -= 1;
             return 1;
         }
     }
     sf_real *axes = w->axes, *factor = w->room + M;
-    sf_mirror(S, M);
+    for (int i = 0; i < M; i++)
+        for (int k = 0; k < i; k++) S[i * M + k] = S[k * M + i];
     if (!sf_eigen(S, M, share, axes, w->room + M)) return 0;
     *mine = 0;
     memset(pull, 0, (size_t)M * sizeof(sf_real));
@@ -884,65 +945,54 @@ SF_API int sf_information(const sf_config *c, const sf_moment_config *m, sf_real
     memset(S, 0, (size_t)(M * M) * sizeof(sf_real));
     for (int i = 0; i < M; i++) {
         for (int k = 0; k < M; k++) factor[k] = share[k] * axes[k * M + i];
-        sf_add_rows(S + i * M, 1, factor, 1, axes, M, M, i + 1);
+        sf_add_rows(S + i * M, 1, factor, 1, axes, M, M, M);
     }
     return 1;
-}
-
-/* Factors of four precisions of scales with the prior of a severity of scales, as sf_factor_quads leaves them. */
-SF_API void sf_of_scales(const sf_config *c, const sf_compared *d, const sf_real *inverse, sf_real *out, sf_real size[4]) {
-    int K = c->channels;
-    sf_copy(out, d->S, 4 * K * K);
-    for (int i = 0; i < K; i++)
-        for (int l = 0; l < 4; l++) out[4 * (i * K + i) + l] += inverse[i];
-    sf_factor_quads(out, K, size);
 }
 
 /* Severity._compare for one mode: hold all severities against the data. What all severities of scales share is done
    once: with the information A, B and C of scales, both and offsets, U' U = C + o, W = U'^-1 B' and S = A - W' W. */
 SF_API int sf_compare(const sf_config *c, const sf_moment_config *m, const sf_real *mean, const sf_real *P, int N,
                       sf_moment_work *w, sf_compared *d) {
-    int K = c->channels, M = 2 * K, E = K;
-    sf_real *off = d->off, *I = w->B, sizes[4], own[4], mine, best = -HUGE_VAL, total = 0;
+    int K = c->channels, M = 2 * K;
+    sf_real *off = d->off, *I = w->B, *x = w->room, sizes[4], own[16], base[4] = {0}, mine, best = -HUGE_VAL, total = 0;
     for (int i = 0; i < M; i++) {
-        off[i] = (mean[i] - (sf_real)(i < K)) / w->std[i];
-        for (int k = 0; k <= i; k++) I[i * M + k] = P[i * N + k] / (w->std[i] * w->std[k]);
+        off[i] = (mean[i] - (sf_real)(i < K)) * w->per_std[i];
+        for (int k = i; k < M; k++) I[i * M + k] = P[i * N + k] * (w->per_std[i] * w->per_std[k]);
     }
     if (!sf_information(c, m, I, w, d, &mine)) return 0;
-    for (int i = 0; i < E; i++) {
-        const sf_real *row = I + (K + i) * M;
-        for (int l = 0; l < 4; l++) {
-            for (int k = 0; k <= i; k++) d->U[4 * (k * E + i) + l] = row[K + k];
-            d->U[4 * (i * E + i) + l] += w->inverse[l * M + K + i];
-            for (int k = 0; k < K; k++) d->W[4 * (i * K + k) + l] = row[k];
-            d->z[4 * i + l] = d->pull[K + i];
-        }
-    }
-    sf_factor_quads(d->U, E, sizes);
-    for (int l = 0; l < 4; l++) d->sound[l] = sizes[l] == sizes[l];
-    sf_solve_quads(d->U, E, d->W, K, 0);
-    sf_solve_quads(d->U, E, d->z, 1, 0);
-    sf_real base[4] = {0, 0, 0, 0};
-    for (int i = 0; i < E; i++)
-        for (int l = 0; l < 4; l++) base[l] += d->z[4 * i + l] * d->z[4 * i + l];
     for (int i = 0; i < K; i++) {
+        const sf_real *row = I + (K + i) * M;
+        for (int l = 0; l < 4; l++) d->z[4 * i + l] = d->pull[K + i], x[4 * i + l] = d->pull[i];
         for (int k = i; k < K; k++)
-            for (int l = 0; l < 4; l++) d->S[4 * (i * K + k) + l] = I[k * M + i];
-        sf_add_quads(d->S + 4 * (i * K + i), -1, d->W + 4 * i, 4 * K, d->W + 4 * i, 4 * K, E, K - i);
-        for (int l = 0; l < 4; l++) d->x[4 * i + l] = d->pull[i];
+            for (int l = 0; l < 4; l++) d->U[4 * (i * K + k) + l] = row[K + k], w->shared[4 * (i * K + k) + l] = I[i * M + k];
+        for (int k = 0; k < K; k++)
+            for (int l = 0; l < 4; l++) d->W[4 * (i * K + k) + l] = row[k];
+        for (int l = 0; l < 4; l++) d->U[4 * (i * K + i) + l] += w->inverse[l * M + K + i];
     }
-    sf_add_quads(d->x, -1, d->z, 4, d->W, 4 * K, E, K);
-    for (int i = 0; i < SF_SEVERITIES; i++) {
-        sf_real y[4 * SF_CHANNELS];
-        sf_of_scales(c, d, w->inverse + i * M, w->own, own);
-        sf_copy(y, d->x, 4 * K);
-        sf_solve_quads(w->own, K, y, 1, 0);
-        for (int l = 0; l < 4; l++) {
-            sf_real square = base[l], *out = d->weight + 4 * i + l;
-            for (int k = 0; k < K; k++) square += y[4 * k + l] * y[4 * k + l];
-            *out = (sf_real)0.5 * (square - sizes[l] - own[l]) + w->ahead[4 * i + l] - mine;
-            if (*out > best) best = *out; /* not of NaN */
+    sf_factor_quads(d->U, K, sizes);
+    for (int l = 0; l < 4; l++) d->sound[l] = sizes[l] == sizes[l];
+    sf_solve_quads(d->U, K, d->W, K, 0);
+    sf_solve_quads(d->U, K, d->z, 1, 0);
+    for (int i = 0; i < K; i++)
+        for (int l = 0; l < 4; l++) base[l] += d->z[4 * i + l] * d->z[4 * i + l];
+    sf_add_quads(x, -1, d->z, 4, d->W, 4 * K, K, K);
+    for (int i = 0; i < K; i++) {
+        sf_add_quads(w->shared + 4 * (i * K + i), -1, d->W + 4 * i, 4 * K, d->W + 4 * i, 4 * K, K, K - i);
+        for (int k = i; k < K; k++)
+            for (int j = 0; j < SF_SEVERITIES; j++) sf_copy(d->V + 16 * (i * K + k) + 4 * j, w->shared + 4 * (i * K + k), 4);
+        for (int j = 0; j < SF_SEVERITIES; j++) {
+            for (int l = 0; l < 4; l++) d->V[16 * (i * K + i) + 4 * j + l] += w->inverse[j * M + i];
+            sf_copy(d->y + 16 * i + 4 * j, x + 4 * i, 4);
         }
+    }
+    sf_factor_all(d->V, K, own);
+    sf_solve_all(d->V, K, d->y, 0);
+    for (int which = 0; which < 16; which++) {
+        sf_real square = base[which % 4], *out = d->weight + which;
+        for (int k = 0; k < K; k++) square += d->y[16 * k + which] * d->y[16 * k + which];
+        *out = (sf_real)0.5 * (square - sizes[which % 4] - own[which]) + w->ahead[which] - mine;
+        if (*out > best) best = *out; /* not of NaN */
     }
     if (!sf_finite(best)) return 0;
     for (int which = 0; which < 16; which++) {
@@ -956,66 +1006,55 @@ SF_API int sf_compare(const sf_config *c, const sf_moment_config *m, const sf_re
 }
 
 /* The posterior of one mode under all severities together, in standard deviations of the wide prior: its mean, shape
-   (M,), and the lower half of its covariance. Severities of no weight in a mode of this chance are left out. With
-   X = U^-1 W, and V = (S + s)^-1 of scales, that is [V, -V X'; -X V, (C + o)^-1 + X V X']. */
+   (M,), and the lower half of its covariance, of rows of `wide` numbers. Severities of no weight in a mode of this
+   chance are left out. With X = U^-1 W, and V = (S + s)^-1 of scales, that is [V, -V X'; -X V, (C + o)^-1 + X V X']. */
 SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_moment_work *w, sf_real *mean,
-                         sf_real *covariance) {
-    int K = c->channels, M = 2 * K, E = K;
-    sf_real *own = w->own, *shared = w->shared, *found = w->found, size[4], answer[4 * SF_JUDGED], lane[4] = {0, 0, 0, 0};
-    sf_real *turned = w->turned, *inverse = w->quads;
+                         sf_real *covariance, int wide) {
+    int K = c->channels, M = 2 * K;
+    sf_real *shared = w->shared, *found = w->found, *turned = w->turned, *inverse = w->quads, *answer = w->answer;
+    sf_real lane[4] = {0, 0, 0, 0}, *of = d->weight;
     for (int l = 0; l < 4; l++) { /* of no weight, and in no number's way */
         if (d->sound[l]) continue;
-        for (int k = 0; k < E * E; k++) d->U[4 * k + l] = (sf_real)(k % (E + 1) == 0);
-        for (int k = 0; k < E * K; k++) d->W[4 * k + l] = 0;
-        for (int e = 0; e < E; e++) d->z[4 * e + l] = 0;
+        for (int k = 0; k < K * K; k++) d->U[4 * k + l] = (sf_real)(k % (K + 1) == 0);
+        for (int k = 0; k < K * K; k++) d->W[4 * k + l] = 0;
+        for (int e = 0; e < K; e++) d->z[4 * e + l] = 0;
     }
-    sf_solve_quads(d->U, E, d->W, K, 1);
-    sf_solve_quads(d->U, E, d->z, 1, 1);
-    for (int e = 0; e < E; e++)
-        for (int k = 0; k < K; k++) sf_copy(turned + 4 * (k * E + e), d->W + 4 * (e * K + k), 4);
+    sf_solve_quads(d->U, K, d->W, K, 1);
+    sf_solve_quads(d->U, K, d->z, 1, 1);
+    for (int e = 0; e < K; e++)
+        for (int k = 0; k < K; k++) sf_copy(turned + 4 * (k * K + e), d->W + 4 * (e * K + k), 4);
+    sf_copy(answer, d->y, 16 * K);
+    sf_solve_all(d->V, K, answer, 1);
+    for (int e = 0; e < K; e++) {
+        for (int i = 0; i < SF_SEVERITIES; i++) sf_copy(answer + 16 * (K + e) + 4 * i, d->z + 4 * e, 4);
+        sf_add_quads(answer + 16 * (K + e), -1, turned + 4 * e, 4 * K, answer, 16, K, 4);
+    }
     memset(mean, 0, (size_t)M * sizeof(sf_real));
-    memset(shared, 0, (size_t)(4 * K * K) * sizeof(sf_real));
-    memset(found, 0, (size_t)(16 * M) * sizeof(sf_real));
-    for (int i = 0; i < SF_SEVERITIES; i++) {
-        sf_real *of = d->weight + 4 * i, any = 0;
-        for (int l = 0; l < 4; l++) any += of[l] = of[l] * chance > SF_LITTLE ? of[l] : 0;
-        if (!(any > 0)) continue;
-        sf_of_scales(c, d, w->inverse + i * M, own, size);
-        sf_copy(answer, d->x, 4 * K);
-        sf_solve_quads(own, K, answer, 1, 0);
-        sf_solve_quads(own, K, answer, 1, 1);
-        sf_copy(answer + 4 * K, d->z, 4 * E);
-        sf_add_quads(answer + 4 * K, -1, answer, 4, turned, 4 * E, K, E);
-        for (int l = 0; l < 4; l++) {
-            if (!(of[l] > 0)) continue;
-            for (int k = 0; k < M; k++) found[(4 * i + l) * M + k] = answer[4 * k + l];
-            sf_add(mean, of[l], found + (4 * i + l) * M, M);
-            lane[l] += of[l];
-        }
-        sf_invert_quads(own, K, inverse);
-        for (int l = 0; l < 4; l++)
-            for (int k = 0; size[l] != size[l] && k < K * K; k++) inverse[4 * k + l] = 0;
-        for (int k = 0; k < 4 * K * K; k += 4)
-            for (int l = 0; l < 4; l++) shared[k + l] += of[l] * inverse[k + l];
+    for (int which = 0; which < 16; which++) {
+        sf_real *own = found + which * M;
+        of[which] = of[which] * chance > SF_LITTLE ? of[which] : 0;
+        for (int k = 0; k < M; k++) own[k] = of[which] > 0 ? answer[16 * k + which] : 0;
+        sf_add(mean, of[which], own, M);
+        lane[which % 4] += of[which];
     }
-    memset(covariance, 0, (size_t)(M * M) * sizeof(sf_real));
+    sf_sum_inverses(d->V, K, of, shared);
     for (int which = 0; which < 16; which++)
-        for (int k = 0; d->weight[which] > 0 && k < M; k++) found[which * M + k] -= mean[k];
+        for (int k = 0; of[which] > 0 && k < M; k++) found[which * M + k] -= mean[k];
     for (int j = 0; j < M; j++) {
-        sf_real apart[16];
-        for (int which = 0; which < 16; which++) apart[which] = d->weight[which] * found[which * M + j];
-        sf_add_rows(covariance + j * M, 1, apart, 1, found, M, 16, j + 1);
+        sf_real apart[16], *row = covariance + j * wide;
+        for (int which = 0; which < 16; which++) apart[which] = of[which] * found[which * M + j];
+        memset(row, 0, (size_t)M * sizeof(sf_real));
+        sf_add_rows(row, 1, apart, 1, found, M, 16, sf_rounded(j + 1, M));
     }
-    sf_invert_quads(d->U, E, inverse);
-    for (int i = 0; i < K; i++) sf_add_lanes(covariance + i * M, shared + 4 * i * K, i + 1);
-    for (int e = 0; e < E; e++) {
-        sf_real *out = covariance + (K + e) * M;
+    sf_invert_quads(d->U, K, inverse);
+    for (int i = 0; i < K; i++) sf_add_lanes(covariance + i * wide, shared + 4 * i * K, i + 1);
+    for (int e = 0; e < K; e++) {
         memset(answer, 0, (size_t)(4 * K) * sizeof(sf_real));
         sf_add_quads(answer, -1, d->W + 4 * e * K, 4, shared, 4 * K, K, K);
-        sf_copy(answer + 4 * K, inverse + 4 * e * E, 4 * (e + 1));
-        sf_scale_quads(answer + 4 * K, lane, e + 1);
-        sf_add_quads(answer + 4 * K, -1, answer, 4, turned, 4 * E, K, e + 1);
-        sf_add_lanes(out, answer, K + e + 1);
+        sf_copy(answer + 4 * K, inverse + 4 * e * K, 4 * (e + 1));
+        sf_scale_lanes(answer + 4 * K, lane, 4, e + 1);
+        sf_add_quads(answer + 4 * K, -1, answer, 4, turned, 4 * K, K, e + 1);
+        sf_add_lanes(covariance + (K + e) * wide, answer, K + e + 1);
     }
 }
 
@@ -1026,7 +1065,7 @@ SF_API void sf_follow_drift(const sf_config *c, const sf_compared *d, const sf_r
     int K = c->channels, M = 2 * K;
     sf_real *G = w->quads, *with = w->turned; /* G' and P_xu, shape (M, K) */
     for (int i = 0; i < M; i++)
-        for (int k = 0; k < K; k++) G[i * K + k] = with[i * K + k] = P[i * N + M + k] / w->std[i];
+        for (int k = 0; k < K; k++) G[i * K + k] = with[i * K + k] = P[i * N + M + k] * w->per_std[i];
     if (!d->factored) G[0] = (sf_real)NAN; /* and nothing is handed out */
     else sf_solve(d->factor, M, G, K);
     sf_copy(mean + M, x + M, K);
@@ -1045,16 +1084,16 @@ SF_API void sf_follow_drift(const sf_config *c, const sf_compared *d, const sf_r
 SF_API void sf_moment_publish(const sf_config *c, const sf_moment_config *m, const sf_modes *belief, sf_moment_work *w,
                               sf_publication *out) {
     int K = c->channels, J = 2 * K, M = sf_weighed(c), N = sf_states(c, m);
-    sf_real means[SF_MODES * SF_WEIGHED], *judged = w->A, *covariance = w->B;
+    sf_real means[SF_MODES * SF_WEIGHED], *covariance = w->B;
     const sf_real *chance = belief->chance;
     memset(out->mean, 0, (size_t)M * sizeof(sf_real));
     memset(out->covariance, 0, (size_t)(M * M) * sizeof(sf_real));
     memset(out->undetermined, 0, (size_t)K * sizeof(sf_real));
     for (int j = 0; j < SF_MODES; j++) {
         sf_compared *d = &w->compared[j];
-        sf_posterior(c, d, chance[j], w, means + j * M, judged);
+        sf_posterior(c, d, chance[j], w, means + j * M, covariance, M);
         for (int i = 0; i < J; i++)
-            for (int k = 0; k <= i; k++) covariance[i * M + k] = covariance[k * M + i] = judged[i * J + k];
+            for (int k = 0; k < i; k++) covariance[k * M + i] = covariance[i * M + k];
         sf_follow_drift(c, d, belief->mean + j * N, belief->covariance + j * N * N, N, w, means + j * M, covariance, M);
         for (int i = 0; i < M; i++) sf_add(out->covariance + i * M, chance[j], covariance + i * M, i + 1);
         sf_add(out->mean, chance[j], means + j * M, M);
@@ -1420,11 +1459,12 @@ SF_API void sf_age(const sf_config *c, const sf_moment_config *m, sf_moment_stat
     s->time += duration;
 }
 
-/* MomentFilter._weigh: hold what modes are about against all severities, in w->compared. */
-SF_API int sf_weigh(const sf_config *c, const sf_moment_config *m, const sf_modes *s, sf_moment_work *w) {
+/* MomentFilter._weigh: hold what modes are about against all severities, in w->compared. but: a mode which stays as
+   it was compared last, or -1. */
+SF_API int sf_weigh(const sf_config *c, const sf_moment_config *m, const sf_modes *s, int but, sf_moment_work *w) {
     int N = sf_states(c, m), good = 1;
     for (int j = 0; j < SF_MODES; j++)
-        good = sf_compare(c, m, s->mean + j * N, s->covariance + j * N * N, N, w, &w->compared[j]) && good;
+        if (j != but) good = sf_compare(c, m, s->mean + j * N, s->covariance + j * N * N, N, w, &w->compared[j]) && good;
     return good;
 }
 
@@ -1477,7 +1517,7 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
     }
     sf_repeat_tares(c, m, s, w);
     sf_priors(c, m, s->drifted, w);
-    sf_weigh(c, m, &s->belief, w);
+    sf_weigh(c, m, &s->belief, -1, w);
     sf_moment_publish(c, m, &s->belief, w, &s->published);
     sf_map_covariance(c, m, &s->published, rate, s->covariance);
     sf_copy_known(c, m, &s->kept, &s->belief, &s->published, &s->tare);
@@ -1589,7 +1629,7 @@ SF_API sf_real sf_evidence(const sf_moment_config *m, const sf_real *L, sf_real 
     sf_real x[SF_COMPONENTS], square = 0;
     for (int r = 0; r < C; r++) {
         x[r] = e[r];
-        for (int k = 0; k < r; k++) x[r] -= L[r * C + k] * x[k];
+        for (int k = 0; k < r; k++) x[r] -= L[k * C + r] * x[k];
         x[r] /= L[r * C + r];
         square += x[r] * x[r];
     }
@@ -1882,15 +1922,16 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
     }
     if (!follows || *rejected) {
         sf_begin_momentum(c, m, rows, belief);
-        good = sf_weigh(c, m, belief, w);
+        good = sf_weigh(c, m, belief, -1, w);
     } else {
         sf_real before[SF_MODES], after[SF_MODES];
         sf_taught taught;
         sf_mix(c, m, belief, rows, &w->mixed);
-        good = sf_weigh(c, m, &w->mixed, w);
+        good = sf_weigh(c, m, &w->mixed, -1, w);
         for (int j = 0; j < SF_MODES; j++) before[j] = w->compared[j].evidence;
         good = good && sf_moment_learn(c, m, &w->mixed, w, &taught);
-        good = good && sf_weigh(c, m, &w->mixed, w);
+        /* A robot that is held teaches nothing. */
+        good = good && sf_weigh(c, m, &w->mixed, m->mode_load[m->held] > 0 ? -1 : m->held, w);
         for (int j = 0; good && j < SF_MODES; j++)
             after[j] = taught.likelihood[j] + w->compared[j].evidence - before[j];
         if (!good || !sf_all_finite(after, SF_MODES)) return SF_SINGULAR;

@@ -36,6 +36,21 @@ typedef double sf_real;
 #endif
 typedef long long sf_whole;
 
+/* Numbers that are added and multiplied at once, wherever they lie: as many as a register holds. */
+#if !defined(__GNUC__) || defined(__CUDACC__)
+#define SF_WIDE 1
+typedef sf_real sf_wide;
+#else
+#ifdef __AVX__
+#define SF_WIDE 4
+#elif defined(SF_SINGLE)
+#define SF_WIDE 4
+#else
+#define SF_WIDE 2
+#endif
+typedef sf_real sf_wide __attribute__((vector_size(SF_WIDE * sizeof(sf_real)), aligned(sizeof(sf_real)), may_alias));
+#endif
+
 #ifndef SF_API
 #define SF_API static inline
 #endif
@@ -186,6 +201,9 @@ SF_API sf_real sf_max(sf_real a, sf_real b) { return b > a ? b : a; }
 SF_API sf_real sf_clip(sf_real value, sf_real low, sf_real high) { return sf_min(sf_max(value, low), high); }
 SF_API int sf_finite(sf_real value) { return value - value == 0; }
 
+SF_API sf_wide *sf_at(sf_real *numbers) { return (sf_wide *)numbers; }
+SF_API const sf_wide *sf_from(const sf_real *numbers) { return (const sf_wide *)numbers; }
+
 SF_API void sf_copy(sf_real *to, const sf_real *from, int n) {
     memcpy(to, from, (size_t)n * sizeof(sf_real));
 }
@@ -219,23 +237,30 @@ SF_API void sf_add(sf_real *__restrict to, sf_real factor, const sf_real *__rest
     for (int i = 0; i < n; i++) to[i] += factor * from[i];
 }
 
-/* to += sign * sum of factor[k * apart] * B[k * wide ...] over `inner` rows, of n numbers each. Four at a time, so that
-   `to` is read and written once for four; most factors are zeros, which cost nothing. */
+/* to += sign * sum of factor[k * apart] * B[k * wide ...] over `inner` rows, of n numbers each: a few at a time, which
+   stay in registers over all rows. */
 SF_API void sf_add_rows(sf_real *__restrict to, sf_real sign, const sf_real *factor, int apart,
                         const sf_real *B, int wide, int inner, int n) {
-    const sf_real *row[4];
-    sf_real by[4];
-    int found = 0;
-    for (int k = 0; k < inner; k++) {
-        if (factor[k * apart] == 0) continue;
-        by[found] = sign * factor[k * apart], row[found++] = B + k * wide;
-        if (found < 4) continue;
-        const sf_real *a = row[0], *b = row[1], *c = row[2], *d = row[3];
-        sf_real p = by[0], q = by[1], r = by[2], s = by[3];
-        for (int i = 0; i < n; i++) to[i] = to[i] + p * a[i] + q * b[i] + r * c[i] + s * d[i];
-        found = 0;
+    const int one = SF_WIDE, two = 2 * SF_WIDE, three = 3 * SF_WIDE, four = 4 * SF_WIDE;
+    for (; n >= four; n -= four, to += four, B += four) {
+        sf_wide a = *sf_at(to), b = *sf_at(to + one), c = *sf_at(to + two), d = *sf_at(to + three);
+        for (int k = 0; k < inner; k++) {
+            const sf_real by = sign * factor[k * apart], *row = B + k * wide;
+            a += by * *sf_from(row), b += by * *sf_from(row + one);
+            c += by * *sf_from(row + two), d += by * *sf_from(row + three);
+        }
+        *sf_at(to) = a, *sf_at(to + one) = b, *sf_at(to + two) = c, *sf_at(to + three) = d;
     }
-    for (int k = 0; k < found; k++) sf_add(to, by[k], row[k], n);
+    for (; n >= one; n -= one, to += one, B += one) {
+        sf_wide a = *sf_at(to);
+        for (int k = 0; k < inner; k++) a += sign * factor[k * apart] * *sf_from(B + k * wide);
+        *sf_at(to) = a;
+    }
+    for (; n > 0; n--, to++, B++) {
+        sf_real a = *to;
+        for (int k = 0; k < inner; k++) a += sign * factor[k * apart] * B[k * wide];
+        *to = a;
+    }
 }
 
 /* out = A B, shapes (rows, inner) and (inner, columns). */
@@ -245,27 +270,26 @@ SF_API void sf_multiply(sf_real *out, const sf_real *A, const sf_real *B, int ro
         sf_add_rows(out + i * columns, 1, A + i * inner, 1, B, columns, inner, columns);
 }
 
-/* Overwrite the lower half of a positive definite A with L, A = L L'; returns 0 if it is none. */
+/* Overwrite the upper half of a positive definite A with U, A = U' U; returns 0 if it is none. What is below is lost. */
 SF_API int sf_cholesky(sf_real *A, int n) {
-    /* Row by row of L', in the upper half: its numbers do not wait for each other. */
     for (int i = 0; i < n; i++) {
-        sf_real *row = A + i * n + i;
-        for (int j = i + 1; j < n; j++) row[j - i] = A[j * n + i];
-        sf_add_rows(row, -1, A + i, n, A + i, n, i, n - i);
-        if (!(row[0] > 0) || !sf_finite(row[0])) return 0;
-        sf_real by = 1 / sf_sqrt(row[0]);
-        for (int j = i; j < n; j++) A[j * n + i] = row[j - i] *= by;
+        sf_real *row = A + i * n;
+        int from = i / 8 * 8; /* so that rows are of whole registers */
+        sf_add_rows(row + from, -1, A + i, n, A + from, n, i, n - from);
+        if (!(row[i] > 0) || !sf_finite(row[i])) return 0;
+        sf_real by = 1 / sf_sqrt(row[i]);
+        for (int j = from; j < n; j++) row[j] *= by;
     }
     return 1;
 }
 
-/* Overwrite B, shape (n, columns), with (L L')^-1 B: L^-1 B first, and L'^-1 of that. */
-SF_API void sf_solve(const sf_real *L, int n, sf_real *B, int columns) {
+/* Overwrite B, shape (n, columns), with (U' U)^-1 B: U'^-1 B first, and U^-1 of that. */
+SF_API void sf_solve(const sf_real *U, int n, sf_real *B, int columns) {
     for (int step = 0; step < 2 * n; step++) {
         int back = step >= n, i = back ? 2 * n - 1 - step : step;
-        sf_real *row = B + i * columns, by = 1 / L[i * n + i];
-        if (back) sf_add_rows(row, -1, L + (i + 1) * n + i, n, row + columns, columns, n - i - 1, columns);
-        else sf_add_rows(row, -1, L + i * n, 1, B, columns, i, columns);
+        sf_real *row = B + i * columns, by = 1 / U[i * n + i];
+        if (back) sf_add_rows(row, -1, U + i * n + i + 1, 1, row + columns, columns, n - i - 1, columns);
+        else sf_add_rows(row, -1, U + i, n, B, columns, i, columns);
         for (int j = 0; j < columns; j++) row[j] *= by;
     }
 }

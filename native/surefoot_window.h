@@ -268,7 +268,7 @@ SF_API int sf_gauss_newton(const sf_config *c, const sf_window_config *w, const 
             if (!(work->use[t] > (sf_real)0.5) || !sf_linearise(c, w, theta, phi, r, J)) continue;
             for (int k = 0; k < 3; k++) {
                 const sf_real *row = J + k * M;
-                for (int i = 0; i < M; i++) sf_add(H + i * M, row[i], row, i + 1);
+                for (int i = 0; i < M; i++) sf_add(H + i * M + i, row[i], row + i, M - i);
                 sf_add(g, r[k], row, M);
             }
         }
