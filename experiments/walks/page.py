@@ -67,7 +67,8 @@ def write_walks_page(results: WalkStudyResults) -> Report:
     lead = _lead(results) if len(results.loop) else None
     report = publish(options.out, title, (say("introduction"), amount), sections, lead=lead)
     if of_paper:
-        return report
+        # A row a foot, method and condition is for the page alone.
+        return report._replace(tables=tuple(one for one in report.tables if one.name != "gait_cycle"))
     first = ("targets", "summary", "faults")
     found = {section.anchor: section.tables for section in sections if section.anchor in first}
     return report._replace(tables=tuple(table for name in first for table in found.get(name, ())))

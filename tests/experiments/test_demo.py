@@ -119,6 +119,9 @@ def test_tables_are_files_too(results: WalkStudyResults, report: tuple[Report, s
     for table in report[0].tables:
         found = pd.read_csv(results.options.out / "tables" / f"{table.name}.csv", dtype=str)
         assert len(found) == len(table.rows)
+    # A row a foot, method and condition is on the page and in its file, not in the terminal.
+    assert (results.options.out / "tables" / "gait_cycle.csv").is_file()
+    assert "gait_cycle" not in [table.name for table in report[0].tables]
     saved = pd.read_csv(results.options.out / "tables" / "yardsticks.csv")
     assert len(saved) == len(results.yardsticks)
 
