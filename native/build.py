@@ -70,15 +70,10 @@ def ending(platform: str | None = None) -> str:
 
 
 class Sources(NamedTuple):
-    """The sources of one library: a package's, which includes the headers beside it.
+    """The sources of one library: a package's, which includes the headers beside it."""
 
-    Attributes:
-        path: The source, named as the package.
-        sizes: Options of the compiler for records of another size.
-    """
-
-    path: Path
-    sizes: tuple[str, ...] = ()
+    path: Path  # the source, named as the package
+    sizes: tuple[str, ...] = ()  # options of the compiler for records of another size
 
     @property
     def name(self) -> str:

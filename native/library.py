@@ -47,19 +47,14 @@ class _Place(ctypes.Structure):
 
 
 class Library(NamedTuple):
-    """A library that was loaded.
+    """A library that was loaded."""
 
-    Attributes:
-        functions: Its functions.
-        real: The dtype of its numbers.
-        places: Kind, offset and size in bytes of each field, by record and field; of a whole record under "".
-        found: Results of :meth:`record` so far, by its arguments: an episode asks for the same again.
-    """
-
-    functions: Any
-    real: np.dtype[Any]
+    functions: Any  # its functions
+    real: np.dtype[Any]  # the dtype of its numbers
     places: dict[str, dict[str, tuple[str, int, int]]]
+    """Kind, offset and size in bytes of each field, by record and field; of a whole record under ""."""
     found: dict[Any, np.dtype[Any] | None]
+    """Results of :meth:`record` so far, by its arguments: an episode asks for the same again."""
 
     @property
     def source(self) -> str:

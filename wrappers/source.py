@@ -29,23 +29,14 @@ FRESH_OR_KEPT = ("fresh", "keep")
 
 
 class Source(Protocol):
-    """An environment that records its truth: surefoot's own, or any inside InstrumentedEnv.
+    """An environment that records its truth: surefoot's own, or any inside InstrumentedEnv."""
 
-    Attributes:
-        truth: The last control step, such as :class:`~surefoot.envs.Truth`.
-        drawing: The drawing by the robot's maker.
-        joint_names: The J hinge joints.
-        dt: Duration of a control step in s.
-        model: The simulated robot.
-        data: Its state.
-    """
-
-    truth: Any
-    drawing: RobotDrawing
-    joint_names: tuple[str, ...]
-    dt: float
-    model: mujoco.MjModel
-    data: mujoco.MjData
+    truth: Any  # the last control step, such as :class:`~surefoot.envs.Truth`
+    drawing: RobotDrawing  # the drawing by the robot's maker
+    joint_names: tuple[str, ...]  # the J hinge joints
+    dt: float  # duration of a control step in s
+    model: mujoco.MjModel  # the simulated robot
+    data: mujoco.MjData  # its state
 
 
 def find_source(env: gym.Env[Any, Any]) -> Source | None:

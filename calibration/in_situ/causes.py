@@ -52,37 +52,24 @@ from surefoot.calibration.in_situ.solve import (
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import Finding
 
-_THINNED = 2000
-"""Samples of a set in which causes are looked for."""
-
-_EDGES = 40
-"""Stretches of a set at whose ends an event is looked for first."""
-
-_FINER = 4
-"""By how much the search becomes finer; it ends at single samples."""
-
-_SHORTEST = 3
-"""Rows that a touch must last."""
-
-_LIKELY = 2
-"""Changes of axes that are fitted to the end."""
-
-_GLANCE = 8
-"""Evaluations by which these are chosen."""
+_THINNED = 2000  # samples of a set in which causes are looked for
+_EDGES = 40  # stretches of a set at whose ends an event is looked for first
+_FINER = 4  # by how much the search becomes finer; it ends at single samples
+_SHORTEST = 3  # rows that a touch must last
+_LIKELY = 2  # changes of axes that are fitted to the end
+_GLANCE = 8  # evaluations by which these are chosen
 
 _DELAYS = np.geomspace(0.03, 6.0, 24)
 """Delays in s between the IMU and the readings, either way, and time constants of filters."""
 
-_ACCURACY = 2e-3
-"""Share of a delay to which it is found: a message has three digits."""
+_ACCURACY = 2e-3  # share of a delay to which it is found: a message has three digits
 
 _TINY = float(np.finfo(float).tiny)
 
 _BEYOND = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
 """Shares of the rows that are tried for those in which a limb presses a stop."""
 
-_AS_GOOD = 0.1
-"""Share by which two costs may differ that are alike."""
+_AS_GOOD = 0.1  # share by which two costs may differ that are alike
 
 _TOUCHING = "Leave that time out, or record the set again with nothing near the limb."
 _WEIGH = "Weigh what was added and measure where it hung, or leave the set out."
@@ -91,16 +78,12 @@ _CLOCK = "Stamp both by one clock, and log the sensor without a filter of the dr
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Data and fit that causes are judged by.
+    """Data and fit that causes are judged by."""
 
-    Attributes:
-        sets: The sets.
-        solution: Of the problem without any cause. Loops of loads are part of it where sets show them: they
-            look like a short delay.
-    """
-
-    sets: tuple[InSituSet, ...]
+    sets: tuple[InSituSet, ...]  # the sets
     solution: Solution
+    """Of the problem without any cause. Loops of loads are part of it where sets show them: they look like a
+    short delay."""
 
     @property
     def problem(self) -> Problem:
@@ -136,37 +119,22 @@ class Evidence:
 
 
 class Cause(NamedTuple):
-    """A cause that was tried.
+    """A cause that was tried."""
 
-    Attributes:
-        words: The cause, for a message.
-        cure: Advice for the user.
-        solution: Of the problem with it.
-        free: Number of unknowns that it adds.
-        choices: Number of alternatives of which it is the best.
-    """
-
-    words: str
-    cure: str
-    solution: Solution
-    free: int
-    choices: int
+    words: str  # the cause, for a message
+    cure: str  # advice for the user
+    solution: Solution  # of the problem with it
+    free: int  # number of unknowns that it adds
+    choices: int  # number of alternatives of which it is the best
 
 
 class Ranked(NamedTuple):
-    """A cause that explains something.
+    """A cause that explains something."""
 
-    Attributes:
-        words: The cause, for a message.
-        cure: Advice for the user.
-        share: Its probability beside the others and none of them.
-        gain: Logarithm of its odds against none of them in nats.
-    """
-
-    words: str
-    cure: str
-    share: float
-    gain: float
+    words: str  # the cause, for a message
+    cure: str  # advice for the user
+    share: float  # its probability beside the others and none of them
+    gain: float  # logarithm of its odds against none of them in nats
 
 
 def find_causes(evidence: Evidence) -> tuple[list[Ranked], float]:

@@ -25,11 +25,8 @@ _UNITS = {
 }
 """Likely units of gravity vectors of these lengths."""
 
-_NEXT = 20
-"""Values next to an end that are counted."""
-
-TOO_FAST = "the limb moved too fast to be taken as at rest"
-"""Reason in the message."""
+_NEXT = 20  # values next to an end that are counted
+TOO_FAST = "the limb moved too fast to be taken as at rest"  # reason in the message
 
 
 def check_sets(sets: Sequence[InSituSet], options: InSituOptions, owner: str) -> list[Finding]:
@@ -278,8 +275,7 @@ def _span(data: InSituSet, marked: NDArray[np.bool_]) -> str:
     return f", most of them between {data.time[first]:.1f} s and {data.time[last]:.1f} s"
 
 
-_WORST = 2.0
-"""Rows that leave more than this multiple of the median are named."""
+_WORST = 2.0  # rows that leave more than this multiple of the median are named
 
 _LEAP = 10.0
 """Multiple of gravity's median step from which on it leaps: sweeps turn evenly, within a factor of two."""
@@ -288,11 +284,8 @@ _SINGLY = "They stand alone: single readings leap, by a loose cable, electric no
 
 _TOUCHED = "something may have touched the limb"
 
-_CHANCE = 1e-4
-"""Probability at which noise alone may seem to bend a limb."""
-
-_FEW = 30
-"""Rows below which bending does not show."""
+_CHANCE = 1e-4  # probability at which noise alone may seem to bend a limb
+_FEW = 30  # rows below which bending does not show
 
 _STEADY = 0.05
 """Share of gravity's spread by which rows may differ from their neighbours in a sweep. Postures at random

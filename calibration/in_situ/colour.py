@@ -34,26 +34,13 @@ _WALK, _LAGS = 2.0, (1.0, 2.0, 3.0)
 _CORNERS, _KNEES, _ROUNDS = 40, 12, 3
 """... with so many corners and frequencies below which hysteresis grows no more, one part after the other."""
 
-_PARAMETERS = {"drift": 1.0, "hysteresis": 3.0}
-"""Of each part, for Schwarz's penalty."""
-
-_PER_OCTAVE = 6
-"""Bands an octave in which modes are counted together."""
-
-_SEEN = 0.1
-"""Share of the widest signal's spread that a signal must have to count."""
-
-_SLOWER = 0.5
-"""Share of the motion's frequency below which hysteresis falls off."""
-
-_NONE = 1e-200
-"""Stands for a corner or a power of zero in a logarithm."""
-
-_LEAST_MODES = 24
-"""Modes below which a set shows no colour."""
-
-_FREE = 0.05
-"""Share of a mode that the signals must leave for it to show the noise."""
+_PARAMETERS = {"drift": 1.0, "hysteresis": 3.0}  # of each part, for Schwarz's penalty
+_PER_OCTAVE = 6  # bands an octave in which modes are counted together
+_SEEN = 0.1  # share of the widest signal's spread that a signal must have to count
+_SLOWER = 0.5  # share of the motion's frequency below which hysteresis falls off
+_NONE = 1e-200  # stands for a corner or a power of zero in a logarithm
+_LEAST_MODES = 24  # modes below which a set shows no colour
+_FREE = 0.05  # share of a mode that the signals must leave for it to show the noise
 
 
 class Part(NamedTuple):
@@ -151,17 +138,11 @@ def _frequencies(rows: int, spacing: float) -> Vector:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """The residuals of one set by their frequency.
+    """The residuals of one set by their frequency."""
 
-    Attributes:
-        frequency: Of each mode that shows noise in Hz, or per sample, shape (b,).
-        left: Share of it that the signals do not explain, shape (b,).
-        modes: The residuals' amplitudes, shape (b, k).
-    """
-
-    frequency: Vector
-    left: Vector
-    modes: Matrix
+    frequency: Vector  # of each mode that shows noise in Hz, or per sample, shape (b,)
+    left: Vector  # share of it that the signals do not explain, shape (b,)
+    modes: Matrix  # the residuals' amplitudes, shape (b, k)
 
     @classmethod
     def of(cls, residual: Matrix, explained: Matrix, spacing: float) -> "Spectrum":

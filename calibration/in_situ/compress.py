@@ -31,21 +31,18 @@ from surefoot.calibration.in_situ.colour import Colour, Spectrum, likeliest_colo
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.model import DIRECT, SPREAD_ROUNDING, signals
 
-_GATE = 1e-9
-"""Probability that a sample of nothing but noise is left out."""
+_GATE = 1e-9  # probability that a sample of nothing but noise is left out
 
 _SLIGHT = 0.05
 """Share of a channel's spread by which a sample must be off to be left out: 1 % of hysteresis leaves up to
 0.04 at the turns of a limb that takes postures, and is seen by these."""
 
-_ROUNDS = 12
-"""Times that the weights are computed at most ..."""
+_ROUNDS = 12  # times that the weights are computed at most ..
 
 _SETTLED = 1e-3
 """... until they change by less than this."""
 
-_LOOKED = 10_000
-"""Samples of a set, or up to twice as many, that say what most agree on."""
+_LOOKED = 10_000  # samples of a set, or up to twice as many, that say what most agree on
 
 _ROWS, _ROWS_MOVING = 1000, 200
 """Windows to whose means a set is reduced, if its limb turns slowly enough ..."""
@@ -57,31 +54,18 @@ those of the motion are left out."""
 
 
 class SetRows(NamedTuple):
-    """A set in rows of nearly equal weight, in the order of time.
+    """A set in rows of nearly equal weight, in the order of time."""
 
-    Attributes:
-        name: The set's.
-        used: Which samples take part, shape (n,).
-        rejected: Which were left out for disagreeing with all others, shape (n,).
-        columns: (1, u, r), weighted, shape (m, 1 + s + k).
-        inputs: s.
-        weight: Square roots of the numbers of samples, shape (m,).
-        places: Mean places of the samples in the set, shape (m,).
-        width: Samples of a window.
-        spacing: Between rows in s, or in samples where some set has no times.
-        walks: Whether the offset may walk at random.
-    """
-
-    name: str
-    used: NDArray[np.bool_]
-    rejected: NDArray[np.bool_]
-    columns: Matrix
-    inputs: int
-    weight: Vector
-    places: Vector
-    width: int
-    spacing: float
-    walks: bool
+    name: str  # the set's
+    used: NDArray[np.bool_]  # which samples take part, shape (n,)
+    rejected: NDArray[np.bool_]  # which were left out for disagreeing with all others, shape (n,)
+    columns: Matrix  # (1, u, r), weighted, shape (m, 1 + s + k)
+    inputs: int  # s
+    weight: Vector  # square roots of the numbers of samples, shape (m,)
+    places: Vector  # mean places of the samples in the set, shape (m,)
+    width: int  # samples of a window
+    spacing: float  # between rows in s, or in samples where some set has no times
+    walks: bool  # whether the offset may walk at random
 
     @property
     def signals(self) -> Matrix:
@@ -180,19 +164,12 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
 
 
 class OffsetAt(NamedTuple):
-    """The offset at one time: readings less the response to signals, weighed over rows.
+    """The offset at one time: readings less the response to signals, weighed over rows."""
 
-    Attributes:
-        weights: Of the rows before they were weighted against drift, shape (m,).
-        signals: So weighed, shape (s,): by them an error of the response moves the offset.
-        raw: So weighed, shape (k,).
-        variance: Of the offset by noise, over that of the white noise of a sample.
-    """
-
-    weights: Vector
-    signals: Vector
-    raw: Vector
-    variance: float
+    weights: Vector  # of the rows before they were weighted against drift, shape (m,)
+    signals: Vector  # so weighed, shape (s,): by them an error of the response moves the offset
+    raw: Vector  # so weighed, shape (k,)
+    variance: float  # of the offset by noise, over that of the white noise of a sample
 
     def by(self, predicted: Matrix) -> Vector:
         """Return the offset, shape (k,), by A T, shape (k, s)."""
@@ -201,36 +178,23 @@ class OffsetAt(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CompressedSet:
-    """A set, compressed.
+    """A set, compressed."""
 
-    Attributes:
-        source: The rows before they were weighted against drift.
-        colour: Of the noise that the rows are weighted by.
-        uu: R_uu, shape (s, s) for s signals.
-        ur: R_ur, shape (s, k).
-        rr: R_rr, shape (k, k).
-        middle: The offset at the middle of the set's time.
-        end: The offset at its end.
-        mean: Of the signals, shape (s,).
-        spread: Sum of the squares of the readings about their mean in counts^2, for as many samples, of the
-            set in which they spread most.
-        gram: Covariance of a channel's rows of :attr:`ur` over the variance of a row's noise, shape (s, s).
-        score: Signals less their mean, orthonormal, of the m rows, shape (m, s).
-        residual: Part of the rows' readings that no linear map of the signals explains, (m, k).
-    """
-
-    source: SetRows
-    colour: Colour
-    uu: Matrix
-    ur: Matrix
-    rr: Matrix
-    middle: OffsetAt
-    end: OffsetAt
-    mean: Vector
+    source: SetRows  # the rows before they were weighted against drift
+    colour: Colour  # of the noise that the rows are weighted by
+    uu: Matrix  # r_uu, shape (s, s) for s signals
+    ur: Matrix  # r_ur, shape (s, k)
+    rr: Matrix  # r_rr, shape (k, k)
+    middle: OffsetAt  # the offset at the middle of the set's time
+    end: OffsetAt  # the offset at its end
+    mean: Vector  # of the signals, shape (s,)
     spread: float
+    """Sum of the squares of the readings about their mean in counts^2, for as many samples, of the set in
+    which they spread most."""
     gram: Matrix
-    score: Matrix
-    residual: Matrix
+    """Covariance of a channel's rows of :attr:`ur` over the variance of a row's noise, shape (s, s)."""
+    score: Matrix  # signals less their mean, orthonormal, of the m rows, shape (m, s)
+    residual: Matrix  # part of the rows' readings that no linear map of the signals explains, (m, k)
 
     @cached_property
     def whiten(self) -> Matrix:

@@ -28,23 +28,15 @@ _BELIEVED = 4.0
 _MOST_DOUBLINGS = 8
 """A swing is at least so many times half of the largest load of its kind: smaller loops are not followed."""
 
-UNIFORM = 12.0**-0.5
-"""Deviation of what lies anywhere in a span, as a share of it."""
-
-_KINDS = [slice(0, 3), slice(3, 6)]
-"""Forces and torques."""
+UNIFORM = 12.0**-0.5  # deviation of what lies anywhere in a span, as a share of it
+_KINDS = [slice(0, 3), slice(3, 6)]  # forces and torques
 
 
 class OpenErrors(NamedTuple):
-    """Errors that are no noise, each with a deviation of one; c of them.
+    """Errors that are no noise, each with a deviation of one; c of them."""
 
-    Attributes:
-        rows: By how much each moves the rows of the sets, whitened, shape (rows, c).
-        offset: By how much each moves the last offset beside that, in counts, shape (k, c).
-    """
-
-    rows: Matrix
-    offset: Matrix
+    rows: Matrix  # by how much each moves the rows of the sets, whitened, shape (rows, c)
+    offset: Matrix  # by how much each moves the last offset beside that, in counts, shape (k, c)
 
 
 def disagreement(solution: Solution, beside: OpenErrors | None = None) -> Vector:
@@ -237,22 +229,15 @@ def output_derivatives(solution: Solution) -> Matrix:
     return slopes
 
 
-_UNKNOWN = 1e3
-"""Prior deviation of an unknown, as a multiple of its size."""
+_UNKNOWN = 1e3  # prior deviation of an unknown, as a multiple of its size
 
 
 class DataShare(NamedTuple):
-    """Share of a fit that the data determine.
+    """Share of a fit that the data determine."""
 
-    Attributes:
-        share: Of the information on each entry of the fit's covariance, shape (7 k + 4,), from 0 to 1.
-        seen: Directions that the data alone know.
-        unseen: Directions that they do not.
-    """
-
-    share: Vector
-    seen: int
-    unseen: int
+    share: Vector  # of the information on each entry of the fit's covariance, shape (7 k + 4,), from 0 to 1
+    seen: int  # directions that the data alone know
+    unseen: int  # directions that they do not
 
 
 def data_share(solution: Solution) -> DataShare:

@@ -21,8 +21,7 @@ from surefoot.calibration.checks import check_not_negative, check_positive
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
-MatrixMode = Literal["keep", "update", "free"]
-"""How a factory matrix is used."""
+MatrixMode = Literal["keep", "update", "free"]  # how a factory matrix is used
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,22 +232,15 @@ def _check_code_range(span: tuple[float, float] | None) -> None:
 class Task:
     """All that a calibration is given.
 
-    Attributes:
-        sets: Of one sensor, as they were read.
-        factory: The maker's C in N and N m per count, shape (6, k), or None.
-        limb: Known values of the limb, or None.
-        options: How to fit.
-        mode: How the factory matrix is used.
-
     Raises:
         ValueError: If these do not belong together.
     """
 
-    sets: tuple[InSituSet, ...]
-    factory: NDArray[np.float64] | None = None
-    limb: KnownLimb | None = None
-    options: InSituOptions = field(default_factory=InSituOptions)
-    mode: MatrixMode = "update"
+    sets: tuple[InSituSet, ...]  # of one sensor, as they were read
+    factory: NDArray[np.float64] | None = None  # the maker's C in N and N m per count, shape (6, k), or None
+    limb: KnownLimb | None = None  # known values of the limb, or None
+    options: InSituOptions = field(default_factory=InSituOptions)  # how to fit
+    mode: MatrixMode = "update"  # how the factory matrix is used
 
     def __post_init__(self) -> None:
         """Raise ValueError if sets, matrix and mode do not belong together."""

@@ -55,8 +55,7 @@ from surefoot.calibration.results import Finding
 _HALF_WIDTHS = 2.0 ** -np.arange(1.0, 9.0)
 """Half-widths of the plays, as shares of the largest amplitude."""
 
-_NARROW = _HALF_WIDTHS[-2]
-"""That from which the search for backlash begins."""
+_NARROW = _HALF_WIDTHS[-2]  # that from which the search for backlash begins
 
 _NEARLY = 0.9
 """Share of creep's gain from which on loops are the law. Chosen: of loops with thresholds of ratio 3,
@@ -66,8 +65,7 @@ _MOST_CREEP = 0.01
 """Share of the load in an octave of time beyond which it is no creep but a fit of something else: load cells
 state 0.001 in half an hour, a swing of a few seconds on a robot that balances looked like 0.03 to 0.06."""
 
-_SHARE_STD = 0.05
-"""Expected size of the shares; that of an axis that no load reaches stays at zero."""
+_SHARE_STD = 0.05  # expected size of the shares; that of an axis that no load reaches stays at zero
 
 _LEADS, _CHANCE = 0.3, 3.0
 """A share this far below zero, as a part of the largest and in deviations, is no hysteresis. Without the
@@ -88,8 +86,7 @@ _REFINED, _SETTLED = 10, 1.0
 """Fits by the likeliest law at most, as the loads that lag come from the fit itself, until they change by so
 many nats."""
 
-_STEP = 1e-6
-"""Angle in rad by which a first moment is turned to see its effect on backlash."""
+_STEP = 1e-6  # angle in rad by which a first moment is turned to see its effect on backlash
 
 
 def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution, list[Solution]]:

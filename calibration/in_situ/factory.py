@@ -17,14 +17,12 @@ from surefoot.calibration.in_situ.solve import Solution, solve
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import Finding
 
-_TRIED = 4
-"""Ways of each kind, those that miss least, that are fitted."""
+_TRIED = 4  # ways of each kind, those that miss least, that are fitted
 
 _COARSE = (0.2, 0.05, 0.01)
 """Sizes of a maker's errors by which matrices are compared, as shares of full scale."""
 
-_POUND = 0.45359237
-"""In kg."""
+_POUND = 0.45359237  # in kg
 
 _CURE = "Correct that, or compare the matrix with the maker's sheet, its signs and exponents first."
 

@@ -55,28 +55,19 @@ _LENGTH = 0.05
 """Deviation of gravity's length beforehand: a scale to 0.5 % (MPU-6050: 3 %, BMI088: 0.5 %), places on
 Earth 0.02."""
 
-_AXIS = 0.03
-"""Deviation of the ratio of two axes' scales (MPU-6050: 3 %)."""
+_AXIS = 0.03  # deviation of the ratio of two axes' scales (MPU-6050: 3 %)
 
 _RATIOS = np.array([[-1.0, 1.0, 0.0], [-1.0, -1.0, 2.0]]).T / np.sqrt([2.0, 6.0])
 """Changes of the axes' scales, orthonormal, that leave their mean, shape (3, 2): that is the length's."""
 
-_ARM = 1.0
-"""Deviation in m of the arm from the point that a limb turns about: a leg's length."""
-
-_SAMPLES = 8000
-"""Samples of all sets that are looked at."""
-
-_LEAST = 1e-4
-"""Deviation of the length in m/s^2 at least: data without noise have none."""
-
-_GATE = 3.0
-"""Deviations beyond which a sample pulls no harder."""
+_ARM = 1.0  # deviation in m of the arm from the point that a limb turns about: a leg's length
+_SAMPLES = 8000  # samples of all sets that are looked at
+_LEAST = 1e-4  # deviation of the length in m/s^2 at least: data without noise have none
+_GATE = 3.0  # deviations beyond which a sample pulls no harder
 
 _ROUNDS = 12
 
-_THIN = 0.1
-"""Time in s over which gravity is averaged before its turning is taken."""
+_THIN = 0.1  # time in s over which gravity is averaged before its turning is taken
 
 _SWEPT, _FEWEST = 3.0, 5
 """Time in s, and rows at least, over which the turning of gravity is taken, free of noise before. By a noisy
@@ -93,24 +84,16 @@ steadily, rather than from one posture at rest to the next."""
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """An accelerometer's errors by its readings of gravity.
+    """An accelerometer's errors by its readings of gravity."""
 
-    Attributes:
-        bias: b in m/s^2, shape (3,).
-        covariance: Of the bias, shape (3, 3).
-        arm: p in m, shape (3,).
-        length: rho in m/s^2.
-        axes: By which readings are multiplied first, of mean one, shape (3,): ones unless the length shows
-            that axes differ.
-        scale: By which they are multiplied last: one unless the length cannot be gravity's.
-    """
-
-    bias: Vector
-    covariance: Matrix
-    arm: Vector
-    length: float
+    bias: Vector  # b in m/s^2, shape (3,)
+    covariance: Matrix  # of the bias, shape (3, 3)
+    arm: Vector  # p in m, shape (3,)
+    length: float  # rho in m/s^2
     axes: Vector
-    scale: float
+    """By which readings are multiplied first, of mean one, shape (3,): ones unless the length shows that axes
+    differ."""
+    scale: float  # by which they are multiplied last: one unless the length cannot be gravity's
 
     @property
     def scales(self) -> Vector | float:

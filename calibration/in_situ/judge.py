@@ -47,27 +47,19 @@ _PLACES = (
     "matrix to lean on."
 )
 
-_ONE_TURN = float(np.cos(np.radians(5.0)))
-"""Cosine of the angle below which two rotations are one."""
+_ONE_TURN = float(np.cos(np.radians(5.0)))  # cosine of the angle below which two rotations are one
 
 
-_CHANCE = 0.01
-"""Probability at which noise alone may strain a fit: masses must be off besides."""
+_CHANCE = 0.01  # probability at which noise alone may strain a fit: masses must be off besides
 
 
 @dataclass(frozen=True)
 class DataRank:
-    """Unknowns that the data and the limb's known values determine without a factory matrix.
+    """Unknowns that the data and the limb's known values determine without a factory matrix."""
 
-    Attributes:
-        found: Number of directions that they determine.
-        missing: Number that they leave open.
-        open_unknowns: Unknowns that take part in those, in words.
-    """
-
-    found: int
-    missing: int
-    open_unknowns: tuple[str, ...]
+    found: int  # number of directions that they determine
+    missing: int  # number that they leave open
+    open_unknowns: tuple[str, ...]  # unknowns that take part in those, in words
 
     def refusal(self, problem: Problem) -> CalibrationRefused:
         """Say which unknowns are open and how to see them (in-situ paper, Lemma 2)."""

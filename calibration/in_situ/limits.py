@@ -10,15 +10,10 @@ from typing import Self
 
 
 class Limit(float):
-    """A number with its unit and its evidence.
+    """A number with its unit and its evidence."""
 
-    Attributes:
-        unit: Of the number.
-        source: Where it comes from.
-    """
-
-    unit: str
-    source: str
+    unit: str  # of the number
+    source: str  # where it comes from
 
     def __new__(cls, value: float, unit: str, source: str) -> Self:
         """Return the number with its unit and source."""

@@ -38,8 +38,7 @@ _CROSS = (0.3, 1.0)
 _ARMS = (0.007, 0.3)
 """Torque's full scale over that of force in m: from a fingertip's (ATI Nano17) to a large robot's arm."""
 
-_UNLIKE = 3.0
-"""Factor by which full scales of one kind may differ from their mean."""
+_UNLIKE = 3.0  # factor by which full scales of one kind may differ from their mean
 
 _BEYOND = 0.3
 """Deviation of redundant channels' readings of a load from the maker's matrix, as a share."""
@@ -48,15 +47,13 @@ COMMON = 0.05
 """Deviation of an error that all gains have in common, which is not learnt and does not move the fit: new
 sensors are off by 1 %, two real ones that had aged in robots by 11 and 19 %."""
 
-_NEGLIGIBLE = 1e-3
-"""Weight below which a member of the grid is left out."""
+_NEGLIGIBLE = 1e-3  # weight below which a member of the grid is left out
 
 AGED = 0.1
 """Deviation of a factory matrix by which causes are judged, as a share of full scale: sensors in robots were
 off by 5 to 20 %."""
 
-KEPT = 1e-6
-"""Deviation of a matrix that is kept: no reading moves it."""
+KEPT = 1e-6  # deviation of a matrix that is kept: no reading moves it
 
 
 def prior_of(task: Task, noise: Matrix, share: float = 1.0) -> Maker | None:
@@ -96,17 +93,11 @@ def _full_scale(matrix: Matrix, noise: Matrix, given: Sequence[float] | None) ->
 
 
 class Leaning(NamedTuple):
-    """The fit by one size of the maker's errors, and how likely that size is.
+    """The fit by one size of the maker's errors, and how likely that size is."""
 
-    Attributes:
-        weight: Its probability.
-        share: Of full scale; 0 without a maker.
-        solution: Of the problem with this prior.
-    """
-
-    weight: float
-    share: float
-    solution: Solution
+    weight: float  # its probability
+    share: float  # of full scale; 0 without a maker
+    solution: Solution  # of the problem with this prior
 
 
 def log_evidence(solution: Solution) -> float:

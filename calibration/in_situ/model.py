@@ -24,11 +24,8 @@ from scipy.linalg import block_diag
 from surefoot.calibration.arrays import skew
 from surefoot.calibration.in_situ.data import InSituSet, Matrix
 
-AXES = 6
-"""Components of a wrench."""
-
-RELATIVE_ERRORS = AXES * AXES
-"""Entries of D."""
+AXES = 6  # components of a wrench
+RELATIVE_ERRORS = AXES * AXES  # entries of D
 
 MASS, MOMENT, INERTIA = 0, slice(1, 4), slice(4, 10)
 """Places of m, m c and I in the inertial parameters."""
@@ -45,14 +42,9 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 LEAST_LEVER = 0.1
 """Lever in m by which first moments are judged at least: masses may all hang at one place."""
 
-ENOUGH_MASSES = 3
-"""Different added masses that a matrix needs (in-situ paper, Lemma 2)."""
-
-SPREAD_ROUNDING = 1e-9
-"""Share of a spread at or below which another is rounding."""
-
-_STEEL = 7850.0
-"""Density of added masses in kg/m^3."""
+ENOUGH_MASSES = 3  # different added masses that a matrix needs (in-situ paper, Lemma 2)
+SPREAD_ROUNDING = 1e-9  # share of a spread at or below which another is rounding
+_STEEL = 7850.0  # density of added masses in kg/m^3
 
 
 def signals(data: InSituSet, moving: bool, stride: int = 1) -> Matrix:

@@ -32,17 +32,11 @@ from surefoot.calibration.in_situ.model import (
 
 
 class Maker(NamedTuple):
-    """Prior of the response: A = A_0 (1 + D), and the error of redundant channels beside it.
+    """Prior of the response: A = A_0 (1 + D), and the error of redundant channels beside it."""
 
-    Attributes:
-        response: A_0 in counts per N and N m, shape (k, 6).
-        std: Deviations of the entries of D, shape (6, 6).
-        beyond: Deviation of the part outside the space of A_0, as a share of its columns.
-    """
-
-    response: Matrix
-    std: Matrix
-    beyond: float
+    response: Matrix  # A_0 in counts per N and N m, shape (k, 6)
+    std: Matrix  # deviations of the entries of D, shape (6, 6)
+    beyond: float  # deviation of the part outside the space of A_0, as a share of its columns
 
     def errors(self, whitening: Matrix, inputs: int) -> Matrix:
         """Return D + 1 row by row by (W A row by row), shape (36, k inputs)."""
@@ -72,37 +66,23 @@ class Law(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A least-squares problem in readings whitened by the noise, z = W r.
+    """A least-squares problem in readings whitened by the noise, z = W r."""
 
-    Attributes:
-        sets: J of them, compressed.
-        added: Inertial parameters of the added masses, shape (J, p).
-        basis: T_p, shape (p, 6, s) for s signals: w = sum_p phi_p T_p u.
-        moving: Whether the signals are those of a moving limb.
-        temperature: Whether the temperature is a signal that acts on the readings directly.
-        channel_lags: Number of such signals behind it, the lags of channels.
-        rotation: Whether the accelerometer's rotation is unknown.
-        maker: Prior of the response, or None.
-        limb: Expected inertial parameters, shape (p,); zero where nothing is known.
-        limb_root: Rows that weigh phi - limb, shape (q, p).
-        gains: Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0.
-        law: Of the hysteresis.
-        changes: Directions in which the added parameters may change, each with an unknown, shape (q, J, p).
-    """
-
-    sets: tuple[CompressedSet, ...]
-    added: Matrix
-    basis: Matrix
-    moving: bool
-    temperature: bool
-    channel_lags: int
-    rotation: bool
-    maker: Maker | None
-    limb: Vector
-    limb_root: Matrix
+    sets: tuple[CompressedSet, ...]  # J of them, compressed
+    added: Matrix  # inertial parameters of the added masses, shape (J, p)
+    basis: Matrix  # t_p, shape (p, 6, s) for s signals: w = sum_p phi_p T_p u
+    moving: bool  # whether the signals are those of a moving limb
+    temperature: bool  # whether the temperature is a signal that acts on the readings directly
+    channel_lags: int  # number of such signals behind it, the lags of channels
+    rotation: bool  # whether the accelerometer's rotation is unknown
+    maker: Maker | None  # prior of the response, or None
+    limb: Vector  # expected inertial parameters, shape (p,); zero where nothing is known
+    limb_root: Matrix  # rows that weigh phi - limb, shape (q, p)
     gains: int = 0
-    law: Law = Law.LOOPS
+    """Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0."""
+    law: Law = Law.LOOPS  # of the hysteresis
     changes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 1, 1)))
+    """Directions in which the added parameters may change, each with an unknown, shape (q, J, p)."""
 
     @cached_property
     def noise(self) -> Matrix:

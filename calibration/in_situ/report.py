@@ -45,25 +45,15 @@ _MAKER = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A solved task, on its way to the answer.
+    """A solved task, on its way to the answer."""
 
-    Attributes:
-        task: The input.
-        sets: Its sets with a levelled gravity, in step with the readings.
-        sphere: Errors of the accelerometer by gravity's length.
-        delay: By which gravity was late in s.
-        delay_std: Its deviation.
-        members: The fits by the likely sizes of the maker's errors, the likeliest first.
-        reference: Mean of the temperatures; None where they take no part.
-    """
-
-    task: Task
-    sets: tuple[InSituSet, ...]
-    sphere: Sphere
-    delay: float
-    delay_std: float
-    members: list[Leaning]
-    reference: float | None
+    task: Task  # the input
+    sets: tuple[InSituSet, ...]  # its sets with a levelled gravity, in step with the readings
+    sphere: Sphere  # errors of the accelerometer by gravity's length
+    delay: float  # by which gravity was late in s
+    delay_std: float  # its deviation
+    members: list[Leaning]  # the fits by the likely sizes of the maker's errors, the likeliest first
+    reference: float | None  # mean of the temperatures; None where they take no part
 
     @cached_property
     def hidden(self) -> float:

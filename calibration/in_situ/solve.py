@@ -37,8 +37,7 @@ from surefoot.calibration.in_situ.problem import Problem
 _SEARCHES, _TURNED_SEARCHES = 3, 36
 """Starts from which to search; the second where the rotation is unknown."""
 
-_AS_GOOD = 10.0
-"""Minima that cost this much more than the lowest are none."""
+_AS_GOOD = 10.0  # minima that cost this much more than the lowest are none
 
 CONVERGED, _EVALUATIONS = 1e-8, 60
 """Relative change of cost, unknowns and slope at which a search ends, and its evaluations at most."""
@@ -49,25 +48,16 @@ _LEAST_MASS, _SMALL_ANGLE = 1e-3, 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solution of a :class:`Problem`.
+    """A solution of a :class:`Problem`."""
 
-    Attributes:
-        problem: The problem.
-        outer: The outer unknowns: phi_b, the rotation vector where it is unknown, and changes.
-        response: A, and beside it the coefficients of signals that act on the readings directly, (k, inputs).
-        rotation: R_sensor_accelerometer, shape (3, 3).
-        jacobian: Of all rows by (W A row by row, phi_b, rotation vector in the sensor's frame, changes).
-        residual: Of the rows of the sets, of variance one, shape (J, s, k).
-        cost: Half the sum of all squared rows.
-    """
-
-    problem: Problem
-    outer: Vector
+    problem: Problem  # the problem
+    outer: Vector  # the outer unknowns: phi_b, the rotation vector where it is unknown, and changes
     response: Matrix
-    rotation: Matrix
-    jacobian: Matrix
-    residual: NDArray[np.float64]
-    cost: float
+    """A, and beside it the coefficients of signals that act on the readings directly, (k, inputs)."""
+    rotation: Matrix  # r_sensor_accelerometer, shape (3, 3)
+    jacobian: Matrix  # of all rows by (W A row by row, phi_b, rotation vector in the sensor's frame, changes)
+    residual: NDArray[np.float64]  # of the rows of the sets, of variance one, shape (J, s, k)
+    cost: float  # half the sum of all squared rows
 
     @property
     def limb(self) -> Vector:

@@ -43,8 +43,7 @@ _STEP = 0.1
 _MEMORY = 60.0
 """Time in s over which gravity's mean is taken, beyond which an offset drifts by more than its mean errs."""
 
-_LONGEST_PAUSE = 3600.0
-"""Time in s beyond which a pause adds no more drift."""
+_LONGEST_PAUSE = 3600.0  # time in s beyond which a pause adds no more drift
 
 _LIGHTEST, _HEAVIEST = 1.0, 100.0
 """Size of g - a in m/s^2 below and above which it is not that of a limb."""
@@ -84,21 +83,13 @@ class InSituEstimate(NamedTuple):
 
 
 class InSituState(NamedTuple):
-    """State of a tracker; any leading batch dimensions ``...``; k channels, N = k + 6 unknowns.
+    """State of a tracker; any leading batch dimensions ``...``; k channels, N = k + 6 unknowns."""
 
-    Attributes:
-        mean: (offset's change in counts, h in N and N m), shape (..., N).
-        covariance: Its covariance, shape (..., N, N).
-        raw: The last counts that arrived, shape (..., k).
-        anchor: g from which on it has not turned, in m/s^2, shape (..., 3).
-        middle: Mean of g over the last while, shape (..., 3).
-    """
-
-    mean: Array
-    covariance: Array
-    raw: Array
-    anchor: Array
-    middle: Array
+    mean: Array  # (offset's change in counts, h in N and N m), shape (..., N)
+    covariance: Array  # its covariance, shape (..., N, N)
+    raw: Array  # the last counts that arrived, shape (..., k)
+    anchor: Array  # g from which on it has not turned, in m/s^2, shape (..., 3)
+    middle: Array  # mean of g over the last while, shape (..., 3)
 
 
 class InSituTracker:

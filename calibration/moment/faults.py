@@ -24,8 +24,7 @@ from surefoot.calibration.estimate import Flag
 from surefoot.calibration.moment.stand_in import StandIn
 from surefoot.calibration.setup import OnlineSetup
 
-LONGEST_LEAP = 3
-"""Samples in a row that a reading may be away before it is believed."""
+LONGEST_LEAP = 3  # samples in a row that a reading may be away before it is believed
 
 _LEAP_SCALES = 0.3, 3.0
 """Scales that leaps are counted with at least and at most: an estimate that is wrong must not blind it."""
@@ -49,8 +48,7 @@ _BUMP_MEMORY = 0.993
 LANDING_TIME = 600.0
 """Time in s for which a robot is known to land on one cell of a foot: it is its feet's shape."""
 
-_ONCE = 0.5
-"""Count of leaps or of landings of late from which on there was one."""
+_ONCE = 0.5  # count of leaps or of landings of late from which on there was one
 
 _MOVING = 0.02
 """Change of a reading within a block in body weights that shows that the foot's load changes."""

@@ -46,18 +46,14 @@ LEAP_ALONE, LEAP_ALONE_RATE = 0.075, 12.0
 """The same of one cell of a foot that stands, or of a robot that lands on no cell alone. At 80 Hz 0.15: on
 NAO, OP3 and T1 no cell passed it; on a G1 by policy cells do as it lands on the corners of its feet."""
 
-SHARES_TIME = 20.0
-"""Time in s over which is learnt how the cells of a foot share its load."""
+SHARES_TIME = 20.0  # time in s over which is learnt how the cells of a foot share its load
 
 KEPT_TIME = 1.5
 """Time in s between states that are kept to go back to: a fall takes a second before anybody notices. None
 is kept while something speaks against the readings."""
 
-LONGEST_PAUSE = 3600.0
-"""Time in s beyond which a pause adds no more drift."""
-
-PRODUCT_TIME = 20.0
-"""Time in s over which a zero that drifts is one error and not many."""
+LONGEST_PAUSE = 3600.0  # time in s beyond which a pause adds no more drift
+PRODUCT_TIME = 20.0  # time in s over which a zero that drifts is one error and not many
 
 LARGEST_ERROR = 0.5
 """Vertical force in W that is off by no error of calibration: the robot is not on its feet."""

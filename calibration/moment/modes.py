@@ -47,8 +47,7 @@ RATES = np.array([(0.0, 1 / 60, 1 / 300), (1 / 20, 0.0, 1 / 300), (1 / 300, 1 / 
 """How often modes (in rows) turn into others (in columns), in 1/s: somebody takes hold of a robot once in a
 minute of work with it and lets it go after 20 s, and it picks something up in five minutes."""
 
-FIRST_CHANCE = np.array([0.977, 0.02, 0.003])
-"""How likely modes are at the start."""
+FIRST_CHANCE = np.array([0.977, 0.02, 0.003])  # how likely modes are at the start
 
 LEAST_CHANCE = 1e-6
 """Chance that a mode keeps, and that of a load in its likelihood: who was free for an hour is believed to be

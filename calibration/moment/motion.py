@@ -21,8 +21,7 @@ import numpy as np
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.front_end.motion import MotionColumns
 
-LEG_TIME = 1.0
-"""T_v in s: a step or two, over which the rolling of soles averages out."""
+LEG_TIME = 1.0  # T_v in s: a step or two, over which the rolling of soles averages out
 
 SPIN_TIME = 2.0
 """T_L in s: longer than a stride, in which the angular momentum comes back to where it was."""

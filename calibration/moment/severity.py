@@ -33,8 +33,7 @@ FIRST_RATE = float(np.sqrt(np.dot(LIKELY, np.square(SEVERITIES))))
 """How many times faster than stated sensors are thought to drift before any tare has shown it: the root mean
 square over how bad they may be."""
 
-LEAST_SHARE = 1e-12
-"""Least share of its variance that anything is known to: less is rounding."""
+LEAST_SHARE = 1e-12  # least share of its variance that anything is known to: less is rounding
 
 
 class Weighed(NamedTuple):

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.setup import OnlineSetup
 
-_STIFFNESS_ERROR = 0.03
-"""Standard deviation in body weights of a force about that of equal springs."""
+_STIFFNESS_ERROR = 0.03  # standard deviation in body weights of a force about that of equal springs
 
 _FLOOR = 1e-5
 """Variance in body weights squared that is never gone below: the inverse is one in C's float32 too."""

@@ -21,8 +21,7 @@ LEVEL_TIME = 4.0
 """Time in s of the mean that readings are compared with: with 2 s a G1 whose policy turns its load slowly
 counts as still, and with 8 s hardly anybody does."""
 
-LEAST_STILL = 0.01
-"""Likelihood below which nobody stands still."""
+LEAST_STILL = 0.01  # likelihood below which nobody stands still
 
 
 class Still(NamedTuple):

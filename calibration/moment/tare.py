@@ -24,11 +24,8 @@ from surefoot.calibration.moment.modes import update
 from surefoot.calibration.moment.state import Belief, TareState
 from surefoot.calibration.setup import OnlineSetup
 
-LEAST_SHARE = 0.45
-"""Share of a block's time that a foot must surely be in the air for."""
-
-NOISE_TIME = 0.2
-"""Time in s that the noise of a tare is stated for."""
+LEAST_SHARE = 0.45  # share of a block's time that a foot must surely be in the air for
+NOISE_TIME = 0.2  # time in s that the noise of a tare is stated for
 
 LEAST_APART = 0.3
 """Time in s from the end of a swing to the next: blocks of one swing say nothing of drift, and the first of
@@ -39,8 +36,7 @@ RATE_SHARE, SMALLEST_RATE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 0.1, 10.0, 9.0
 that it is believed between, of good cells and of neglected ones; and the squared surprise, in expected ones,
 of which more counts no more (three standard deviations)."""
 
-STATED_RATE = 2.0
-"""Tares that the rate to start from counts for."""
+STATED_RATE = 2.0  # tares that the rate to start from counts for
 
 LEAP = 5.0
 """Standard deviations of drift and noise beyond which a zero has leapt, and says nothing of the time since: a

@@ -44,14 +44,10 @@ class Kernel:
         fits: Functions of that source that say whether constants fit.
         sizes: Largest sizes, by their names without ``SF_``.
         single: Whether its numbers are floats rather than doubles.
-
-    Attributes:
-        library: Where the fields of its records lie, and the functions.
-        layout: The mark of this layout.
     """
 
-    library: Library
-    layout: str
+    library: Library  # where the fields of its records lie, and the functions
+    layout: str  # the mark of this layout
 
     def __init__(
         self, package: str, headers: tuple[str, ...], body: str, fits: tuple[str, ...],

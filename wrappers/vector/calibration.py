@@ -103,13 +103,9 @@ class BatchCalibration:
 
 
 class BatchCalibrationFace(CalibrationFace):
-    """The common part of wrappers of :class:`BatchCalibration`.
+    """The common part of wrappers of :class:`BatchCalibration`."""
 
-    Attributes:
-        calibration: The calibration of all robots.
-    """
-
-    calibration: BatchCalibration
+    calibration: BatchCalibration  # the calibration of all robots
 
     @property
     def _robots(self) -> Sequence[RobotCalibration]:

@@ -262,13 +262,9 @@ class BatchSensors(OfOneVersion):
 
 
 class BatchSensorsFace(SensorsFace):
-    """The common part of wrappers of :class:`BatchSensors`.
+    """The common part of wrappers of :class:`BatchSensors`."""
 
-    Attributes:
-        sensors: The sensors of all robots.
-    """
-
-    sensors: BatchSensors
+    sensors: BatchSensors  # the sensors of all robots
 
     def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
         """Let the next fresh sensors of some robots be of another severity.

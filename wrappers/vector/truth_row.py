@@ -38,27 +38,19 @@ NO_PLAN = -1.0
 
 
 class RowMeaning(NamedTuple):
-    """The meaning of the rows of a robot's copies.
+    """The meaning of the rows of a robot's copies."""
 
-    Attributes:
-        rows: Number of substeps S of a control step.
-        columns: Number of the simulator's sensors, those of one substep after the other in front; feet
-            planned to stand and to swing follow.
-        feet: Number of feet F.
-        joints: Names of the J hinge joints.
-        dt: Duration of a control step in s.
-        seldom: Whether only one of several substeps of a control step is read.
-        state: Where (name, start, stop) of the parts that telemetry has (``MEASURED``) lie in
-            ``observation["state"]``, or nothing.
-    """
-
-    rows: int
+    rows: int  # number of substeps S of a control step
     columns: int
-    feet: int
-    joints: tuple[str, ...]
-    dt: float
-    seldom: bool
+    """Number of the simulator's sensors, those of one substep after the other in front; feet planned to stand
+    and to swing follow."""
+    feet: int  # number of feet F
+    joints: tuple[str, ...]  # names of the J hinge joints
+    dt: float  # duration of a control step in s
+    seldom: bool  # whether only one of several substeps of a control step is read
     state: tuple[tuple[str, int, int], ...]
+    """Where (name, start, stop) of the parts that telemetry has (``MEASURED``) lie in
+    ``observation["state"]``, or nothing."""
 
     @property
     def size(self) -> int:
@@ -74,15 +66,11 @@ class RowMeaning(NamedTuple):
 
 
 class Lent(NamedTuple):
-    """What a row holds, of one robot or of N, in arrays that the next step overwrites.
+    """What a row holds, of one robot or of N, in arrays that the next step overwrites."""
 
-    Attributes:
-        substeps: The simulator's readings in each substep, shape (..., S, columns).
-        plans: Feet planned to stand and to swing, 0 or 1, shape (..., 2 F); :data:`NO_PLAN` for none.
-    """
-
-    substeps: NDArray[np.float64]
+    substeps: NDArray[np.float64]  # the simulator's readings in each substep, shape (..., S, columns)
     plans: NDArray[np.float64]
+    """Feet planned to stand and to swing, 0 or 1, shape (..., 2 F); :data:`NO_PLAN` for none."""
 
 
 class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
