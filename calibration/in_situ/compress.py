@@ -182,9 +182,9 @@ class CompressedSet:
 
     source: SetRows  # the rows before they were weighted against drift
     colour: Colour  # of the noise that the rows are weighted by
-    uu: Matrix  # r_uu, shape (s, s) for s signals
-    ur: Matrix  # r_ur, shape (s, k)
-    rr: Matrix  # r_rr, shape (k, k)
+    uu: Matrix  # R_uu, shape (s, s) for s signals
+    ur: Matrix  # R_ur, shape (s, k)
+    rr: Matrix  # R_rr, shape (k, k)
     middle: OffsetAt  # the offset at the middle of the set's time
     end: OffsetAt  # the offset at its end
     mean: Vector  # of the signals, shape (s,)

@@ -70,7 +70,7 @@ class Problem:
 
     sets: tuple[CompressedSet, ...]  # J of them, compressed
     added: Matrix  # inertial parameters of the added masses, shape (J, p)
-    basis: Matrix  # t_p, shape (p, 6, s) for s signals: w = sum_p phi_p T_p u
+    basis: Matrix  # T_p, shape (p, 6, s) for s signals: w = sum_p phi_p T_p u
     moving: bool  # whether the signals are those of a moving limb
     temperature: bool  # whether the temperature is a signal that acts on the readings directly
     channel_lags: int  # number of such signals behind it, the lags of channels

@@ -54,7 +54,7 @@ class Solution:
     outer: Vector  # the outer unknowns: phi_b, the rotation vector where it is unknown, and changes
     response: Matrix
     """A, and beside it the coefficients of signals that act on the readings directly, (k, inputs)."""
-    rotation: Matrix  # r_sensor_accelerometer, shape (3, 3)
+    rotation: Matrix  # R_sensor_accelerometer, shape (3, 3)
     jacobian: Matrix  # of all rows by (W A row by row, phi_b, rotation vector in the sensor's frame, changes)
     residual: NDArray[np.float64]  # of the rows of the sets, of variance one, shape (J, s, k)
     cost: float  # half the sum of all squared rows

@@ -18,7 +18,7 @@ from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 
 TILT_TIME = 0.3  # T in s: how fast the soles hold the tilt upright
-SPIN_BIAS_TIME = 3.0  # t_b in s: how fast they find the gyroscope's bias
+SPIN_BIAS_TIME = 3.0  # T_b in s: how fast they find the gyroscope's bias
 
 REST_TIME = 10.0
 """Time in s over which the specific force must point up and be g, for the robot does not go on getting

@@ -31,7 +31,7 @@ ZERO_OFFSET = 0.2
 """B in m/s^2: 20 mg, which data sheets of accelerometers in robots promise. A floor that leans by more than a
 degree looks like more, and is believed the less the more it does."""
 
-BIAS_TIME = 20.0  # t_b in s: biases follow ten times slower than what shows them
+BIAS_TIME = 20.0  # T_b in s: biases follow ten times slower than what shows them
 
 TOUCH = 0.003
 """Height in m above the lowest point of the soles at which a point no longer counts as touching: encoders
