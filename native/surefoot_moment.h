@@ -1801,8 +1801,9 @@ SF_API int sf_weigh_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     if (most < m->contrast) {
         sf_copy(s->known, known, at);
         for (int r = 0; r < C; r++) {
-            /* An error that stays is no noise, as the whole weight of a robot that hangs on a crane. */
-            sf_real surprise = sf_min(changed[r] * changed[r] / (2 * S[r * C + r]), m->suspect_surprise);
+            /* An error that surely stays is no noise, as the whole weight of a robot that hangs on a crane. */
+            sf_real surprise = lasting > nothing + m->contrast ? changed[r] * changed[r] / 2 : e[r] * e[r];
+            surprise = sf_min(surprise / S[r * C + r], m->suspect_surprise);
             s->noise[r] = sf_clip(s->noise[r] * (1 + m->suspect_share * (surprise - 1)), m->suspect_noise[0], m->suspect_noise[1]);
         }
     }

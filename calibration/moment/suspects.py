@@ -52,8 +52,8 @@ ten times the errors of the model of a robot that nobody touches."""
 
 SUSPECT_SHARE, SUSPECT_NOISE, SUSPECT_SURPRISE = 0.02, (0.04, 100.0), 9.0
 """How much of the rows' noise one block decides, five seconds of it; between which factors on its variance it
-is believed; and the squared surprise of which more counts no more (three standard deviations). Noise is what
-changes from block to block."""
+is believed; and the squared surprise of which more counts no more (three standard deviations). Where an
+error surely lasts, noise is what changes from block to block."""
 
 
 class Leap(NamedTuple):
@@ -150,14 +150,15 @@ class Suspects:
         arm = span * np.where(force_and_wrench(len(e)) > 0.0, 1.0, rows.height)
         shown = (np.abs(changes) > LEAST_ERROR * arm[:, None]).any(axis=0)
         rare = float(np.log(RATES[MODES.index(FREE), MODES.index(HELD)] * duration))
-        nothing, innocent = self._excuse(state, rows, S, e, span, arm, rare, duration)
+        nothing, lasting, innocent = self._excuse(state, rows, S, e, span, arm, rare, duration)
         gain = np.where(shown, each - innocent, np.minimum(each - innocent, 0.0))
         score = np.maximum(state.score + gain, 0.0)
         noise, before = state.noise, state.known
         if score.max() < CONTRAST:
             before = known
-            # An error that stays is no noise, as the whole weight of a robot that hangs on a crane.
-            surprise = np.minimum(0.5 * (e - state.error * span) ** 2 / np.diagonal(S), SUSPECT_SURPRISE)
+            # An error that surely stays is no noise, as the whole weight of a robot that hangs on a crane.
+            square = 0.5 * (e - state.error * span) ** 2 if lasting > nothing + CONTRAST else e**2
+            surprise = np.minimum(square / np.diagonal(S), SUSPECT_SURPRISE)
             noise = np.clip(noise * (1.0 + SUSPECT_SHARE * (surprise - 1.0)), *SUSPECT_NOISE)
         least = max(innocent + SURE, each.max())
         there = 1.0 - lost
@@ -175,8 +176,8 @@ class Suspects:
         arm: Array,
         rare: float,
         duration: float,
-    ) -> tuple[float, float]:
-        """Return the evidence that nothing is wrong, and that of the best innocent cause.
+    ) -> tuple[float, float, float]:
+        """Return the evidence that nothing is wrong, that an error lasts, and of the best innocent cause.
 
         Nothing is wrong; what acted in the last block still acts, or changes as a hand's force does, as
         rarely as somebody takes hold; a force as large as the weight acts on the robot's body, up to its
@@ -189,7 +190,7 @@ class Suspects:
         changing = rare + _evidence(2.0 * S + hand, (e - decay * state.error * span)[:, None])[0]
         body = np.outer(rows.mean_rest, rows.mean_rest) + np.diag(np.concatenate([[0.0], arm[1:]]) ** 2)
         unknown = _evidence(S + body, e[:, None])[0]
-        return nothing, max(nothing, lasting, changing, unknown)
+        return nothing, lasting, max(nothing, lasting, changing, unknown)
 
     def miss(self, state: SuspectState, rows: Rows, known: Array, others: Array) -> tuple[Array, Array]:
         """Return the error of a block, and its changes by channels that are out; torques over the height.
