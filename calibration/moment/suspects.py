@@ -52,8 +52,7 @@ ten times the errors of the model of a robot that nobody touches."""
 
 SUSPECT_SHARE, SUSPECT_NOISE, SUSPECT_SURPRISE = 0.02, (0.04, 100.0), 9.0
 """How much of the rows' noise one block decides, five seconds of it; between which factors on its variance it
-is believed; and the squared surprise of which more counts no more (three standard deviations). Where an
-error surely lasts, noise is what changes from block to block."""
+is believed; and the squared surprise of which more counts no more (three standard deviations)."""
 
 
 class Leap(NamedTuple):
@@ -156,10 +155,8 @@ class Suspects:
         noise, before = state.noise, state.known
         if score.max() < CONTRAST:
             before = known
-            # An error that surely stays is no noise, as the whole weight of a robot that hangs on a crane.
-            square = 0.5 * (e - state.error * span) ** 2 if lasting > nothing + CONTRAST else e**2
-            surprise = np.minimum(square / np.diagonal(S), SUSPECT_SURPRISE)
-            noise = np.clip(noise * (1.0 + SUSPECT_SHARE * (surprise - 1.0)), *SUSPECT_NOISE)
+            lasted = state.error * span if lasting > nothing + CONTRAST else None
+            noise = _learn_noise(noise, np.diagonal(S), e, lasted)
         least = max(innocent + SURE, each.max())
         there = 1.0 - lost
         leap = self._find_leap(state, S, reach, e_before, there, least, rare) if innocent > nothing else None
@@ -283,6 +280,18 @@ class Suspects:
         both = own[:, i] + own[:, j]
         lost = by_others - own - reach * zero
         return np.hstack([lost, -2.0 * own, to_i + to_j - both, -to_i - to_j - both])
+
+
+def _learn_noise(noise: Array, variance: Array, e: Array, lasted: Array | None) -> Array:
+    """Learn how much larger variances are than stated from a block's innovation, shapes (C,).
+
+    An error that surely lasts is no noise, as the whole weight of a robot that hangs on a crane: noise is its
+    change since the last block, of which ``lasted`` is the error.
+    """
+    square = e**2 if lasted is None else 0.5 * (e - lasted) ** 2
+    surprise = np.minimum(square / variance, SUSPECT_SURPRISE)
+    learnt: Array = np.clip(noise * (1.0 + SUSPECT_SHARE * (surprise - 1.0)), *SUSPECT_NOISE)
+    return learnt
 
 
 def _zero(known: Array, columns: Columns) -> Array:
