@@ -37,7 +37,7 @@ _SLIGHT = 0.05
 """Share of a channel's spread by which a sample must be off to be left out: 1 % of hysteresis leaves up to
 0.04 at the turns of a limb that takes postures, and is seen by these."""
 
-_ROUNDS = 12  # times that the weights are computed at most ..
+_ROUNDS = 12  # times that the weights are computed at most ...
 
 _SETTLED = 1e-3
 """... until they change by less than this."""

@@ -319,7 +319,7 @@ thresholds of ratio 3 in the place of 2 feign a tenth."""
 
 
 class DelayLeft(NamedTuple):
-    """By how much gravity is still late beside all that a fit explains in s, and its deviation."""
+    """By how much gravity is late in s beside all that a fit explains, negative if early; its deviation."""
 
     delay: float
     std: float

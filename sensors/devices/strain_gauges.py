@@ -48,7 +48,7 @@ SMALLEST_LOOP = 1e-3
 class StrainGaugeState(NamedTuple):
     """A sensor in use."""
 
-    response: Floats  # a without the heat in counts per N and N m, shape (k, 6); constant from power-up
+    response: Floats  # A without the heat in counts per N and N m, shape (k, 6); constant from power-up
     tempco: Floats
     """The change of a gauge by a kelvin, shape (2, k): to its scale, relative, in 1/K (row :data:`SCALE`),
     and to its offset in counts/K (row :data:`OFFSET`); constant from power-up."""
