@@ -47,8 +47,13 @@ class InSituLog:
         return self.sets if chosen is None else tuple(one for one in self.sets if one.name in chosen)
 
     def fit(self, accept: str = "") -> InSituFit:
-        """Fit these sets as the configuration says; refusals are part of the result."""
+        """Fit these sets, refusals in the result; LogError if there is no matrix to keep."""
         config = self.config
+        if config.fit.keep_matrix and config.factory.matrix is None:
+            raise LogError(
+                f"{', '.join(self.files)}: 'fit.keep_matrix' keeps the maker's matrix, and 'factory' names "
+                "none; name it there, or leave out 'keep_matrix' (or --keep-matrix)."
+            )
         mass, std = config.limb.mass_kg, config.limb.mass_std_kg
         return calibrate_in_situ(
             self.fitted,

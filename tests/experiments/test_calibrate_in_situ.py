@@ -20,6 +20,7 @@ from surefoot.experiments.force_torque.calibrate import SAMPLE, CalibratedSensor
 from surefoot.experiments.force_torque.config import InSituConfig, config_beside
 from surefoot.experiments.force_torque.icub import read_matrix
 from surefoot.experiments.force_torque.table import WRENCH
+from surefoot.experiments.logs.table import LogError
 
 Script = Callable[[str], ModuleType]
 
@@ -237,3 +238,5 @@ def test_the_makers_matrix_can_be_kept(short: Path, tmp_path: Path, undrawn: Non
     assert result.fit.scope == "bias, mass and centre of mass; matrix kept (one load)"
     assert any(result.fit.scope in notice for notice in result.notices)
     assert read_calibration(result.files["calibration"]).scope == result.fit.scope
+    with pytest.raises(LogError, match="keeps the maker's matrix, and 'factory' names none; name it there"):
+        calibrate_in_situ_log(short, changed(config, fit=fit, limb={}, factory={}), folder=tmp_path)
