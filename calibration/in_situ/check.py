@@ -162,10 +162,10 @@ def _check_idle(sets: Sequence[InSituSet]) -> Iterator[Finding]:
 
 def _follows_gravity(data: InSituSet, channel: int) -> float:
     """Return n R^2 of a channel's readings on gravity; three by chance."""
-    columns = np.column_stack([np.ones(len(data.raw)), data.gravity, data.raw[:, channel]])
+    columns = np.column_stack([data.gravity, data.raw[:, channel]])
     columns = columns[np.isfinite(columns).all(axis=1)]
     columns = columns - columns.mean(axis=0)
-    gravity, counts = orthonormal(columns[:, 1:4], SPREAD_ROUNDING)[0], columns[:, 4]
+    gravity, counts = orthonormal(columns[:, :3], SPREAD_ROUNDING)[0], columns[:, 3]
     return float(
         len(counts) * np.sum((gravity.T @ counts) ** 2) / max(float(counts @ counts), np.finfo(float).tiny)
     )
@@ -237,13 +237,15 @@ def _check_ends(
     data: InSituSet, what: str, values: NDArray[np.float64], beside: NDArray[np.float64]
 ) -> list[Finding]:
     """Return a finding if values stay at their highest or lowest while others, (n, q), go on."""
-    columns = np.column_stack([np.ones(len(values)), beside])
-    whole = np.isfinite(columns).all(axis=1) & np.isfinite(values)
     for sign in (1.0, -1.0):
         held = sign * values == np.nanmax(sign * values)
+        if np.count_nonzero(held) < limits.TIES:
+            continue
+        columns = np.column_stack([np.ones(len(values)), beside])
+        whole = np.isfinite(columns).all(axis=1) & np.isfinite(values)
         others = whole & ~held
         ends, times = np.unique(sign * values[np.isfinite(values)], return_counts=True)
-        few = len(ends) <= _NEXT or times[-1] < limits.TIES or np.sum(others) <= 2 * columns.shape[1]
+        few = len(ends) <= _NEXT or np.sum(others) <= 2 * columns.shape[1]
         if few or times[-1] <= limits.TIES_RATIO * np.mean(times[-1 - _NEXT : -1]):
             continue
         # How far held samples should read beyond their end, against the deviation of the others.
