@@ -202,22 +202,31 @@ def _format_percent(share: float) -> str:
 
 # Events within a set: signals that act on its readings.
 
+
+class _Event(NamedTuple):
+    """Something that happens in one set."""
+
+    words: str  # with the set, its beginning and its end
+    cure: str  # advice for the user
+    ends: bool  # whether it ends again
+    loads: bool  # whether it goes with gravity, as a mass does
+
+
 _EVENTS = (
-    (
+    _Event(
         "the zero of '{name}' leaps at {begin}",
         "Cut the set there into two, or record it again.",
-        False,
-        False,
+        ends=False,
+        loads=False,
     ),
-    ("something touched the limb in '{name}' from {begin} to {end}", _TOUCHING, True, False),
-    (
+    _Event("something touched the limb in '{name}' from {begin} to {end}", _TOUCHING, ends=True, loads=False),
+    _Event(
         "what hangs in '{name}' changed at {begin}",
         "Cut the set there into two with a mass each, or record it again.",
-        False,
-        True,
+        ends=False,
+        loads=True,
     ),
 )
-"""Events in words, their cures, whether they end again, and whether they go with gravity, as a mass does."""
 
 
 def _try_events(evidence: Evidence) -> Iterator[Cause]:
@@ -234,7 +243,7 @@ def _try_events(evidence: Evidence) -> Iterator[Cause]:
         j = int(np.argmax([gain for gain, *_ in found]))
         _, first, last = found[j]
         rows = np.arange(parts[j].rows)
-        columns = [(i == j) * one for i, one in enumerate(acts)]
+        columns = [np.zeros_like(one) for one in acts]
         columns[j] = acts[j] * ((rows >= first) & (rows < last))[:, None]
         begin, end = (evidence.when(j, int(parts[j].source.places[row])) for row in (first, last - 1))
         named = words.format(name=evidence.sets[j].name, begin=begin, end=end)
