@@ -57,7 +57,7 @@ typedef struct {
     sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_tared, largest_sum, touch_load;
     sf_real level_time, least_still;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
-    sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, least_share;
+    sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], near[2], wide, least_share;
     sf_real most_load, least_row, reading_noise;
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance;
@@ -727,11 +727,15 @@ SF_API void sf_weigh_modes(const sf_moment_config *m, const sf_real *evidence, s
 /* ----------------------------------------------------------------------------------------------- severity */
 
 /* Severity.prior: standard deviations of the wide prior, and in these the inverse variances of the others: of scales by
-   the severity of scales, of offsets by theirs. */
-SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, sf_real drifted, sf_moment_work *w) {
+   the severity of scales, of offsets by theirs. scale: as published last. */
+SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, sf_real drifted, const sf_real *scale,
+                      sf_moment_work *w) {
     int K = c->channels, M = 2 * K;
-    sf_real square = m->wide * m->wide, of[2][SF_SEVERITIES] = {{0}};
+    sf_real square = m->wide * m->wide, of[2][SF_SEVERITIES] = {{0}}, prior[SF_JUDGED];
     for (int i = 0; i < K; i++) {
+        sf_real near = sf_min(sf_max(scale[i], m->near[0]), m->near[1]);
+        prior[i] = (m->spread_scale[i] + drifted) * near * near * near;
+        prior[K + i] = m->spread_offset[i];
         w->std[i] = sf_sqrt(square * (m->spread_scale[i] + drifted / square));
         w->std[K + i] = sf_sqrt(square * m->spread_offset[i]);
         w->per_std[i] = 1 / w->std[i], w->per_std[K + i] = 1 / w->std[K + i];
@@ -739,8 +743,7 @@ SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, sf_real dri
     for (int l = 0; l < SF_SEVERITIES; l++) {
         sf_real by = m->severities[l] * m->severities[l], *inverse = w->inverse + l * M;
         for (int i = 0; i < M; i++) {
-            sf_real variance = by * (i < K ? m->spread_scale[i] + drifted : m->spread_offset[i - K]);
-            inverse[i] = w->std[i] * w->std[i] / variance;
+            inverse[i] = w->std[i] * w->std[i] / (by * prior[i]);
             of[i >= K][l] -= sf_log(inverse[i]);
         }
     }
@@ -1500,9 +1503,10 @@ SF_API void sf_repeat_tares(const sf_config *c, const sf_moment_config *m, sf_mo
 SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_real rate,
                             sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c, m) - 2;
+    sf_real first[SF_CHANNELS];
     sf_break(c, m, s);
     memset(&s->suspects, 0, sizeof s->suspects);
-    for (int i = 0; i < K; i++) s->suspects.known[i] = 1;
+    for (int i = 0; i < K; i++) s->suspects.known[i] = first[i] = 1;
     for (int r = 0; r < m->components; r++) s->suspects.noise[r] = 1;
     memset(s->belief.mean, 0, (size_t)(SF_MODES * N) * sizeof(sf_real));
     memset(s->belief.covariance, 0, (size_t)(SF_MODES * N * N) * sizeof(sf_real));
@@ -1516,7 +1520,7 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
         s->belief.chance[j] = m->first_chance[j];
     }
     sf_repeat_tares(c, m, s, w);
-    sf_priors(c, m, s->drifted, w);
+    sf_priors(c, m, s->drifted, first, w);
     sf_weigh(c, m, &s->belief, -1, w);
     sf_moment_publish(c, m, &s->belief, w, &s->published);
     sf_map_covariance(c, m, &s->published, rate, s->covariance);
@@ -1909,7 +1913,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
     int N = sf_states(c, m), likeliest = 0, good, guilty;
     sf_moment_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
-    sf_priors(c, m, s->drifted, w);
+    sf_priors(c, m, s->drifted, published, w);
     if (follows) {
         sf_real step[3], ahead;
         for (int k = 0; k < 3; k++) step[k] = rows->point[k] - s->point[k];

@@ -7,7 +7,9 @@ is integrated out. Under another prior D,
     V = (I + D^-1)^-1,    m = x0 + V i,    2 log evidence = i' V i + log det V - log det D
 
 exactly so for sensors that stay as they are. The mixture of all of them is published. A mixture of
-modes may be wider than P0 in some direction: there the data say nothing. Drift u since the start has
+modes may be wider than P0 in some direction: there the data say nothing. Sensors are rated by how many
+readings a unit of force gives, g, and a scale is a = 1/g: the prior of g, N(1, s^2), is over a as steep as
+N(1, s^2 a^3), which is the prior of a scale, with a as it was published last. Drift u since the start has
 one prior for all: the tares say how fast sensors drift, and zeros that stay say nothing of how far off they
 started. It follows from scales and offsets as the filter has it, by G = P_ux P^-1.
 """
@@ -32,6 +34,10 @@ good sensors, and a swing shows eight offsets at once."""
 FIRST_RATE = float(np.sqrt(np.dot(LIKELY, np.square(SEVERITIES))))
 """How many times faster than stated sensors are thought to drift before any tare has shown it: the root mean
 square over how bad they may be."""
+
+NEAR = (0.5, 2.0)
+"""Scales between which a scale's prior follows it: there each step from prior to posterior and back is
+shorter than the one before (0.75 (a - 1) / a of it, where data and prior are as sure)."""
 
 LEAST_SHARE = 1e-12  # least share of its variance that anything is known to: less is rounding
 
@@ -68,35 +74,35 @@ class Severity:
         )
         self._likely = np.log([LIKELY[i] * LIKELY[j] for i, j in pairs])
 
-    def prior(self, scale: Array, offset: Array, drifted: float) -> Array:
-        """Return the variances of priors of scales and offsets.
+    def prior(self, drifted: float, published: Array) -> Array:
+        """Return the variances of scales and offsets under all severities, shape (S, 2K).
 
         Args:
-            scale: Factor on the stated variances of scales, shape (S,).
-            offset: The same of offsets, shape (S,).
             drifted: Variance that scales have drifted by.
-
-        Returns:
-            Shape (S, 2K).
+            published: The scales that were published last, shape (K,).
         """
-        spread = self._spread
-        parts = scale[:, None] * (spread.scale + drifted), offset[:, None] * spread.offset
+        spread, skew = self._spread, np.clip(published, *NEAR) ** 3
+        parts = (
+            np.outer(self._of_scale, (spread.scale + drifted) * skew),
+            np.outer(self._of_offset, spread.offset),
+        )
         return np.concatenate(parts, axis=1)
 
-    def evidence(self, mean: Array, covariance: Array, drifted: float) -> Array:
+    def evidence(self, mean: Array, covariance: Array, drifted: float, published: Array) -> Array:
         """Return the evidence alone, as of :class:`Weighed`, shape (J,); arguments as of :meth:`weigh`."""
-        return _total(self._compare(mean, covariance, drifted).evidence)
+        return _total(self._compare(mean, covariance, drifted, published).evidence)
 
-    def weigh(self, mean: Array, covariance: Array, drifted: float) -> Weighed:
+    def weigh(self, mean: Array, covariance: Array, drifted: float, published: Array) -> Weighed:
         """Return the posteriors under all severities together.
 
         Args:
             mean: The filter's unknowns, shape (J, N).
             covariance: Theirs, shape (J, N, N).
             drifted: As of :meth:`prior`.
+            published: As of :meth:`prior`.
         """
         K, of, drift = self._spread.scale.size, self._of, self._columns.drift
-        std, prior, precision, found, evidence = self._compare(mean, covariance, drifted)
+        std, prior, precision, found, evidence = self._compare(mean, covariance, drifted, published)
         V = np.linalg.inv(precision)
         weight = np.exp(evidence - evidence.max(axis=1, keepdims=True))
         weight = weight / weight.sum(axis=1, keepdims=True)
@@ -116,10 +122,10 @@ class Severity:
             undetermined=np.diagonal(within, axis1=1, axis2=2)[:, :K] / (weight @ prior[:, :K]),
         )
 
-    def _compare(self, mean: Array, covariance: Array, drifted: float) -> "_Compared":
+    def _compare(self, mean: Array, covariance: Array, drifted: float, published: Array) -> "_Compared":
         """Hold all severities against the data; arguments as of :meth:`weigh`."""
-        of, wide = self._of, np.array([WIDE**2])
-        std = np.sqrt(self.prior(wide, wide, drifted / WIDE**2)[0])
+        of, spread = self._of, self._spread
+        std = np.sqrt(np.concatenate([WIDE**2 * spread.scale + drifted, WIDE**2 * spread.offset]))
         # In standard deviations of the wide prior, which is 1 there.
         share, axes = np.linalg.eigh(covariance[:, of, of] / np.outer(std, std))
         share = np.clip(share, LEAST_SHARE, None)
@@ -128,7 +134,7 @@ class Severity:
         off = np.einsum("jmi,jm->ji", axes, (mean[:, of] - self._start) / std)
         pull = np.einsum("jmi,ji->jm", axes, np.where(informed, off / share, 0.0))
         precision = np.einsum("jmi,ji,jni->jmn", axes, information, axes)[:, None]
-        prior = self.prior(self._of_scale, self._of_offset, drifted) / std**2
+        prior = self.prior(drifted, published) / std**2
         at = np.arange(len(std))
         precision = np.repeat(precision, len(prior), axis=1)
         precision[..., at, at] += 1.0 / prior

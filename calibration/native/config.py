@@ -145,6 +145,7 @@ def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
         "tare_surprise": tares.LARGEST_SURPRISE,
         "tare_leap": tares.LEAP,
         "touch_load": tares.TOUCH,
+        "near": severity.NEAR,
         "least_share": severity.LEAST_SHARE,
     }
     parts = core, core.config, core.columns, core.blocks, core.spread, core.model

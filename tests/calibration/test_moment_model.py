@@ -150,7 +150,10 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
     H = np.zeros((6, columns.size))
     H[:, of] = rng.normal(size=(6, of.stop)) * np.sqrt(first_variance(columns, spread, CONFIG)[of])
     y, R = 0.5 * rng.normal(size=6), 0.01 * np.eye(6)
-    drifted = 1e-4
+    drifted, published = 1e-4, rng.uniform(0.3, 3.0, LAYOUT.channels)
+    priors = severity.prior(drifted, published)
+    spread_scale = (spread.scale + drifted) * np.clip(published, 0.5, 2.0) ** 3
+    np.testing.assert_allclose(priors[1, : LAYOUT.channels], SEVERITIES[0] ** 2 * spread_scale)
 
     def posterior(prior):
         mean, covariance = first_mean(columns), np.diag(first_variance(columns, spread, CONFIG))
@@ -162,17 +165,15 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
         likelihood = -0.5 * (off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1])
         return mean + gain @ off, covariance - gain @ H @ covariance, likelihood
 
-    wide = severity.prior(np.array([25.0]), np.array([25.0]), drifted / 25.0)[0]
+    wide = np.concatenate([25.0 * spread.scale + drifted, 25.0 * spread.offset])
     mean, covariance, widely = posterior(wide)
-    found = severity.weigh(mean[None], covariance[None], drifted)
+    found = severity.weigh(mean[None], covariance[None], drifted, published)
     means, covariances, chances = [], [], []
-    for one, likely_one in zip(SEVERITIES, LIKELY, strict=True):
-        for other, likely_other in zip(SEVERITIES, LIKELY, strict=True):
-            prior = severity.prior(np.array([one**2]), np.array([other**2]), drifted)[0]
-            mean, covariance, likelihood = posterior(prior)
-            means.append(mean[of])
-            covariances.append(covariance[of, of])
-            chances.append(likelihood + np.log(likely_one * likely_other))
+    for prior, likely in zip(priors, np.outer(LIKELY, LIKELY).ravel(), strict=True):
+        mean, covariance, likelihood = posterior(prior)
+        means.append(mean[of])
+        covariances.append(covariance[of, of])
+        chances.append(likelihood + np.log(likely))
     chance = np.exp(np.array(chances) - max(chances))
     assert found.evidence[0] == pytest.approx(np.log(chance.sum()) + max(chances) - widely, abs=1e-6)
     found = found.publish(np.ones(1))
@@ -188,7 +189,9 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
 def test_without_data_all_is_undetermined():
     columns, spread = Columns.of(LAYOUT), Spread.of(setup(), CONFIG)
     covariance = np.diag(first_variance(columns, spread, CONFIG))
-    found = Severity(columns, spread).weigh(first_mean(columns)[None], covariance[None], 0.0)
+    found = Severity(columns, spread).weigh(
+        first_mean(columns)[None], covariance[None], 0.0, np.ones(LAYOUT.channels)
+    )
     assert found.evidence[0] == pytest.approx(0.0, abs=1e-9)
     found = found.publish(np.ones(1))
     np.testing.assert_allclose(found.undetermined, 1.0)
