@@ -17,12 +17,7 @@ AnyReference = Reference | MomentumReference | ReferenceRecord
 
 
 class PythonFilter:
-    """The specification.
-
-    Args:
-        method: The method.
-        state: The state, a value; ``None`` before the first sample.
-    """
+    """The specification of a method; its state is a value, ``None`` before the first sample."""
 
     library: Library | None = None  # the library that it runs in, if it does
 
@@ -47,12 +42,7 @@ class PythonFilter:
 
 
 class LibraryFilter:
-    """The library, in which the state stays in one place.
-
-    Args:
-        native: Its filter.
-        method: The same in Python.
-    """
+    """The library's filter of a method, in which the state stays in one place."""
 
     def __init__(self, native: NativeFilter, method: OnlineMethod) -> None:
         self._native, self._method, self._state = native, method, native.pack()

@@ -111,10 +111,8 @@ class Passage(NamedTuple):
 class LogPassages:
     """The passages of a log's blocks, made of the truth; arguments and errors are of :func:`posterior_bound`.
 
-    Attributes:
-        raw: Readings, shape (samples, K).
-        start: Covariance of the unknowns to start from, shape (N, N).
-        blocks: The sample that each block ends with, and the block's effect on a covariance.
+    Of readings ``raw``, (samples, K), and the covariance ``start`` of the unknowns, (N, N); ``blocks`` are
+    the sample that each block ends with, and the block's effect on a covariance.
     """
 
     def __init__(

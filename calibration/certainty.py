@@ -14,22 +14,11 @@ AGAIN = 1.5  # by what that may rise, as a factor, before the robot asks to be c
 
 
 class Certainty:
-    """Watches the standard deviation of the centre of pressure, averaged over a moment.
+    """Watches the standard deviation of the centre of pressure, averaged over ``memory`` s.
 
-    A robot becomes certain at ``enough`` and stays so up to ``again``, so that it does not waver.
-
-    Args:
-        enough: In m.
-        again: In m; by default 1.5 times ``enough``.
-        memory: Time constant of the average in s.
-        dt: Time between samples in s.
-
-    Attributes:
-        std: The average in m; infinite before the first.
-        certain: Whether the robot is certain.
-
-    Raises:
-        ValueError: If a number is not positive, or ``again`` is less than ``enough``.
+    A robot becomes certain at ``enough`` m and stays so up to ``again``, by default 1.5 times that, so that
+    it does not waver. ``std`` is the average in m, infinite before the first. ValueError if a number is not
+    positive, or ``again`` is less than ``enough``.
 
     >>> certainty = Certainty(enough=1e-3, again=1.5e-3, memory=0.1, dt=0.1)
     >>> [certainty.update((std, 0.0)) for std in (2e-3, 0.5e-3, 1.4e-3, 3e-3)]

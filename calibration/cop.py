@@ -125,16 +125,9 @@ def level_moments(wrench_sole: Array, position_sole: Array, R_level_sole: Array)
 
         Fz p = Fz p_sole + (-t_y, t_x),    t the torque about the sole's origin in level axes.
 
-    Args:
-        wrench_sole: Wrenches at and in the sole frames, shape (..., 2, 6).
-        position_sole: Origins of the sole frames in the level frame in m, shape (..., 2, 3).
-        R_level_sole: Rotations from sole to level frame, shape (..., 2, 3, 3).
-
-    Returns:
-        Vertical forces in N, shape (..., 2), and moments (Fz px, Fz py) in N m, shape (..., 2, 2).
-
-    Raises:
-        ValueError: If a shape is not as above.
+    Wrenches are at and in the sole frames, (..., 2, 6); origins of the soles in m, (..., 2, 3); rotations
+    from sole to level frame, (..., 2, 3, 3). Returns Fz in N, (..., 2), and (Fz px, Fz py) in N m, (..., 2,
+    2); ValueError if a shape is not as here.
     """
     check_tail(wrench_sole, ("feet", 6), "wrench_sole")
     feet = wrench_sole.shape[-2]

@@ -52,11 +52,7 @@ of a user's own method names them itself, in an attribute ``LEARNT``."""
 
 
 def begin_episode(fresh: Tree, state: Tree) -> Tree:
-    """Return a state that begins an episode, a ``fresh`` one with the calibration so far.
-
-    Raises:
-        TypeError: If the state is not one of :data:`LEARNT`.
-    """
+    """Return a ``fresh`` state with the calibration so far; TypeError if it is not one of :data:`LEARNT`."""
     kind, own = type(state), dict[str, Any]()
     learnt = LEARNT.get(kind, getattr(kind, "LEARNT", None))
     if learnt is None:

@@ -154,11 +154,8 @@ def _passages_of(setup: OnlineSetup, motion: FootMotion, config: Moment) -> LogP
 class _Choice:
     """Motions to choose among.
 
-    Args:
-        aim: The quantity to lower.
-        passages: The effect of each motion on a covariance.
-        length: How long each takes in s.
-        start: Covariance before, shape (N, N).
+    ``aim`` is the quantity to lower, ``passages`` the effect of each motion on a covariance, ``length`` how
+    long each takes in s, ``start`` the covariance before, (N, N).
     """
 
     def __init__(

@@ -144,15 +144,9 @@ def method_entry(name: str) -> MethodEntry:
 
 
 def resolve_method(method: Any, options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Return the name of a method, and its options.
+    """Return the name of a method, given by name or as a value of its options, and its options.
 
-    Args:
-        method: A name, or the options of a method as a value, such as ``Moment(scale_std=0.2)``.
-        options: Further options by name.
-
-    Raises:
-        TypeError: If it is neither.
-        ValueError: If an option is given twice.
+    TypeError if it is neither, ValueError if an option is given twice.
 
     >>> resolve_method(Moment(scale_std=0.2), {"mass": 5.3})
     ('moment', {'mass': 5.3, 'scale_std': 0.2})

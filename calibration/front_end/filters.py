@@ -30,8 +30,7 @@ class LowPass(NamedTuple):
 def low_pass(cutoff: float, dt: float) -> LowPass:
     """Build the causal second-order Butterworth low-pass filter; at the cutoff half of the power passes.
 
-    Raises:
-        ValueError: If the cutoff in Hz does not lie between zero and half of the sample rate.
+    ValueError if the cutoff in Hz does not lie between zero and half of the sample rate.
 
     >>> import numpy as np
     >>> init, apply = low_pass(10.0, 1 / 80)

@@ -62,19 +62,12 @@ class MotionColumns(NamedTuple):
 class Motions:
     """The flat references of one setup.
 
-    Args:
-        setup: The robot.
-        quasi_static: Whether the reference leaves the motion out (Han): Fz = M g at (x, y).
-        imu: Whether accelerometer and gyroscope are used; unused ones need not be sound.
-        momentum: Whether a :class:`~surefoot.calibration.reference.MomentumReference` is taken as well; its
-            velocity and momentum stand in the columns of their rates.
-
-    Attributes:
-        imu: The same.
-        taken: Kinds of references that are taken.
-        columns: Where the parts of a flat reference lie.
-        shapes: The shape of each field of a reference.
-        resting: A flat reference with the soles level at the origin, shape (R,).
+    ``quasi_static`` leaves the motion out (Han): Fz = M g at (x, y); without ``imu`` accelerometer and
+    gyroscope need not be sound; with ``momentum`` a
+    :class:`~surefoot.calibration.reference.MomentumReference` is taken as well, whose velocity and momentum
+    stand in the columns of their rates. ``taken`` are the kinds of references that are taken, ``columns``
+    where the parts of a flat one lie, ``shapes`` those of each field; ``resting`` has the soles level at the
+    origin, (R,).
     """
 
     def __init__(

@@ -70,19 +70,10 @@ class Sample(NamedTuple):
 class FrontEnd:
     """The way of a sample for one setup: pure functions that share constants.
 
-    Args:
-        setup: The robot.
-        quasi_static: Whether the reference leaves the motion out: Fz = M g at (x, y).
-        imu: Whether accelerometer and gyroscope are used; unused ones need not be sound.
-        momentum: Whether references may hold momentum instead of accelerations.
-
-    Attributes:
-        setup: The same.
-        motions: The robot's beliefs as flat numbers.
-        plausible: Least and greatest reading of each channel that is not taken for an error, shape (K,) each.
-        carried: By how long each channel is carried on to now in s, shape (K,).
-        kept: How many samples before the newest one are remembered.
-        limits: Least and greatest values of the leaves of a :class:`FrontState`.
+    Arguments are those of :class:`~surefoot.calibration.front_end.motion.Motions`. ``plausible`` are the
+    least and the greatest reading of each channel that is not taken for an error, (K,) each; ``carried`` by
+    how many s each is carried on to now, (K,); ``kept`` how many samples before the newest one are
+    remembered; ``limits`` the bounds of the leaves of a :class:`FrontState`.
     """
 
     def __init__(
@@ -135,20 +126,10 @@ class FrontEnd:
         dt: float,
         repair: Repair | None = None,
     ) -> tuple[FrontState, Sample]:
-        """Check one sample, align it with its reference and write its rows.
+        """Check one sample, align it with its reference and write its rows; ValueError if one does not fit.
 
-        Args:
-            state: The state of the front end.
-            raw: Readings, shape (K,).
-            reference: The robot's beliefs ``lag`` samples ago.
-            dt: Time since the last sample in s.
-            repair: Takes the newest forces and whether they were read, and hands back those to go on with.
-
-        Returns:
-            The new state and the sample.
-
-        Raises:
-            ValueError: If an array does not fit.
+        Readings, (K,), are of now, the reference of ``lag`` samples ago, ``dt`` in s. ``repair`` takes the
+        newest forces and whether they were read, and hands back those to go on with.
         """
         self.check(raw, reference)
         gap = not 0.0 < dt <= LONGEST_GAP * self.setup.dt
@@ -237,14 +218,10 @@ class FrontEnd:
     ) -> Estimate:
         """Make an estimate of calibrated forces: wrenches and centres of pressure.
 
-        Args:
-            sample: The sample.
-            force: Its calibrated forces as they were read in N, shape (K,).
-            scale: Newtons per unit of the reading, shape (K,).
-            offset: Force that a reading of zero stands for in N, shape (K,).
-            status: Flags of each channel, shape (K,), or of all alike.
-            covariance: Of (a, b), shape (2K, 2K), if the method claims one.
-            ahead: The same carried on to now, each by itself; ``None`` where readings have no age.
+        Forces are in N as they were read, (K,), scale in N per unit of the reading and offset in N at a
+        reading of zero; flags of each channel, or of all alike; a covariance of (a, b), (2K, 2K), if the
+        method claims one. ``ahead`` is the same carried on to now, each by itself; ``None`` where readings
+        have no age.
         """
         wrench, moments, cop, loaded = self._centres(sample, force)
         measured = cop[-1]

@@ -24,9 +24,8 @@ _SEEN = (
 def gravity_spread(centred: Floats, size: float) -> Floats:
     """Return by how much of its size gravity spreads along its principal axes, the widest first, shape (3,).
 
-    Args:
-        centred: Gravity less its mean, shape (n, 3); any unit. Their triangular factor does as well.
-        size: Root mean square of gravity's length times the root of the number of samples, in the same unit.
+    Of gravity less its mean, (n, 3), in any unit, or the triangular factor of these; ``size`` is the root
+    mean square of gravity's length times the root of the number of samples.
     """
     singular = np.linalg.svd(centred, compute_uv=False)
     spread = np.zeros(3)

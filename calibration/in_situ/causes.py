@@ -138,11 +138,10 @@ class Ranked(NamedTuple):
 
 
 def find_causes(evidence: Evidence) -> tuple[list[Ranked], float]:
-    """Try each known cause.
+    """Try each known cause; return those that explain something, the likeliest first.
 
-    Returns:
-        Those that explain something, the likeliest first, and by which share that one moves contact loads:
-        zero if it has many unknowns, which hysteresis of a law that the fit has not may look like.
+    Also by which share that one moves contact loads: zero if it has many unknowns, which hysteresis of a law
+    that the fit has not may look like.
     """
     tried = [Cause("", "", evidence.solution, 0, 1)]
     for look in _KINDS:

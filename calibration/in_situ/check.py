@@ -30,15 +30,9 @@ TOO_FAST = "the limb moved too fast to be taken as at rest"  # reason in the mes
 
 
 def check_sets(sets: Sequence[InSituSet], options: InSituOptions, owner: str) -> list[Finding]:
-    """Check channels, masses, units and the turning of gravity.
+    """Check channels, masses, units and the turning of gravity; refuse a set without samples to speak of.
 
-    Args:
-        sets: As they were given.
-        options: Of the fit.
-        owner: Whose matrix stands in for directions that gravity does not show; empty for none.
-
-    Raises:
-        CalibrationRefused: If a set has no samples to speak of.
+    ``owner`` is whose matrix stands in for directions that gravity does not show; empty for none.
     """
     found, factors, samples, sizes = list(_check_copies(sets)), [], 0, []
     for data in sets:
@@ -125,11 +119,8 @@ def _measure_held(data: InSituSet, spread: float) -> tuple[float, bool]:
     """Return how far readings move, beside white noise, while gravity repeats, and whether gravity follows.
 
     A limb that rests repeats gravity as well, while a zero walks or a filter settles. Where gravity is held,
-    readings have come to where it jumps when the hold ends; where it is rounded, half of the way.
-
-    Args:
-        data: The set.
-        spread: Variance of the readings in counts^2; the move is a share of its root.
+    readings have come to where it jumps when the hold ends; where it is rounded, half of the way. The move is
+    a share of the root of ``spread``, the readings' variance in counts^2.
     """
     whole = np.isfinite(data.raw).all(axis=1) & np.isfinite(data.gravity).all(axis=1)
     raw, gravity = data.raw[whole], data.gravity[whole]

@@ -68,13 +68,9 @@ class Colour:
     hysteresis: Part = field(default_factory=Part)
 
     def weights(self, rows: int, spacing: float) -> Vector:
-        """Compute weights that take the drift off the modes 0, 1, ... of a set, shape (rows,), at most one.
+        """Compute weights, (rows,), at most one, that take the drift off the modes 0, 1, ... of a set.
 
-        The constant is the offset, which no drift makes less sure.
-
-        Args:
-            rows: Their number.
-            spacing: Between them in s, or in samples.
+        The constant is the offset, which no drift makes less sure. The spacing is in s, or in samples.
         """
         frequency = _frequencies(rows, spacing)
         beside = 1.0 + self.hysteresis.power(frequency)
@@ -95,16 +91,10 @@ class Colour:
         return np.asarray(idct(root[:, None] * dct(columns, norm="ortho", axis=0), norm="ortho", axis=0))
 
     def slow(self, rows: int, spacing: float, at: Sequence[float]) -> tuple[Matrix, Vector]:
-        """Compute the weights that estimate a drift at places, and their variance.
+        """Compute weights that estimate a drift at places, and their variance over a weighted row's.
 
-        Args:
-            rows: Their number.
-            spacing: Between them.
-            at: Places between the first row, 0, and the last, 1; shape (p,).
-
-        Returns:
-            Coefficients of the unweighted rows, shape (p, rows), and variances over that of a weighted row,
-            shape (p,).
+        Places ``at``, (p,), lie between the first row, 0, and the last, 1; the coefficients are of the
+        unweighted rows, (p, rows).
         """
         places = np.asarray(at)
         if self.drift.corner == 0.0:
@@ -117,12 +107,7 @@ class Colour:
 
 
 def motion_frequency(signals: Matrix, spacing: float) -> float:
-    """Return the frequency at which the fastest of some signals has half of its power, in Hz or per sample.
-
-    Args:
-        signals: In the order of time, shape (m, s).
-        spacing: Between rows.
-    """
+    """Return the frequency at which the fastest of signals, (m, s), has half its power, in Hz or a sample."""
     power = dct(signals, norm="ortho", axis=0)[1:] ** 2
     total = power.sum(axis=0)
     power = power[:, total > _SEEN**2 * total.max(initial=0.0)]
@@ -146,13 +131,7 @@ class Spectrum:
 
     @classmethod
     def of(cls, residual: Matrix, explained: Matrix, spacing: float) -> "Spectrum":
-        """Return the spectrum of residuals, shape (m, k).
-
-        Args:
-            residual: In the order of time.
-            explained: An orthonormal basis of the explained signals, shape (m, c).
-            spacing: Between rows.
-        """
+        """Return the spectrum of residuals, (m, k), beside an orthonormal basis of the explained, (m, c)."""
         rows = len(residual)
         left = 1.0 - np.sum(dct(explained, norm="ortho", axis=0) ** 2, axis=1)
         seen = np.flatnonzero(left > _FREE)
@@ -165,13 +144,9 @@ def likeliest_colour(
 ) -> tuple[Colour, float]:
     """Return the colour that explains residuals best, and its deviance with Schwarz's penalty.
 
-    It is white unless another is worth its parameters.
-
-    Args:
-        spectra: Of the sets, in channels none of which follows from the others.
-        motion: Frequency of the limb's motion.
-        walks: Whether offsets may walk at random.
-        floor: Variance of white noise that each channel has at least.
+    It is white unless another is worth its parameters. Spectra are of channels none of which follows from the
+    others; ``walks`` says whether offsets may walk at random, ``floor`` is the least variance of a channel's
+    white noise.
     """
     spectra = [one for one in spectra if len(one.left) >= _LEAST_MODES]
     if not spectra:

@@ -275,11 +275,7 @@ def compress(
 ) -> tuple[CompressedSet, ...]:
     """Return sets as triangles, without the samples that are missing or disagree with all others.
 
-    Args:
-        sets: The sets.
-        options: Whether to leave samples out, and whether offsets may drift.
-        moving: Whether to use the signals of a moving limb.
-        temperature: Whether the temperature is one more signal.
+    With the signals of a limb that is ``moving``, and with the ``temperature`` as one more signal.
     """
     timed = all(data.time is not None for data in sets)
     rows = []

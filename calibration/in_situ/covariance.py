@@ -73,12 +73,9 @@ def answer_of(solution: Solution) -> Vector:
 
 
 def answer_root(solution: Solution, beside: OpenErrors, root: Matrix) -> Matrix:
-    """Return a root of the covariance of the answer, shape (7 k + 4, c).
+    """Return a root of the covariance of the answer, (7 k + 4, c), with errors ``beside`` that are no noise.
 
-    Args:
-        solution: A solution.
-        beside: Errors that are no noise.
-        root: Of the covariance of the unknowns by noise and prior, as :func:`unknowns_root` returns it.
+    ``root`` is of the covariance of the unknowns by noise and prior (:func:`unknowns_root`).
     """
     problem = solution.problem
     columns = FitColumns.of(len(solution.A))

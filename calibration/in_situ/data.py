@@ -230,11 +230,7 @@ def _check_code_range(span: tuple[float, float] | None) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """All that a calibration is given.
-
-    Raises:
-        ValueError: If these do not belong together.
-    """
+    """The input of a calibration; ValueError if its parts do not belong together."""
 
     sets: tuple[InSituSet, ...]  # of one sensor, as they were read
     factory: NDArray[np.float64] | None = None  # the maker's C in N and N m per count, shape (6, k), or None

@@ -92,9 +92,8 @@ _STEP = 1e-6  # angle in rad by which a first moment is turned to see its effect
 def fit_hysteresis(sets: Sequence[InSituSet], plain: Solution) -> tuple[Solution, list[Solution]]:
     """Fit hysteresis by each law to sets with times; none where few rows show it.
 
-    Returns:
-        The likeliest fit, which is the plain one where no law explains enough, and the fits with loops,
-        worth it or not: a late clock is judged beside them.
+    Returns the likeliest fit, the plain one where no law explains enough, and the fits with loops, worth it
+    or not: a late clock is judged beside them.
     """
     if not shows_loops(plain.problem):
         return plain, [plain]
@@ -285,8 +284,7 @@ _TORQUES, _MOMENTS = np.array([3, 3, 4, 4, 5, 5]), np.array([2, 3, 1, 3, 1, 2])
 def _turn(load: Matrix, body: Vector) -> tuple[Matrix, Vector]:
     """Turn a first moment a little about each axis; one that grows only makes a lag larger.
 
-    Returns:
-        Slopes of the loads, (n, 6), and their shares by each first moment that torques depend on, (6,).
+    Returns slopes of the loads, (n, 6), and their shares by each first moment that torques depend on, (6,).
     """
     moment = body[MOMENT]
     size = float(np.linalg.norm(moment)) + np.finfo(float).tiny

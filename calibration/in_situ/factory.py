@@ -31,14 +31,9 @@ def check_factory(task: Task, problem: Problem, solution: Solution, determined: 
     """Return whether a factory matrix contradicts the readings, and how it is to be read.
 
     Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are compared
-    with the loads: by a solution without the matrix if the limb is determined or known, else by
-    the limb that it shows itself. Where it misses much, other ways to read it are causes like all others.
-
-    Args:
-        task: With the matrix as it was given.
-        problem: With the prior by it.
-        solution: Without it, if the readings determine one.
-        determined: Whether they do.
+    with the loads: by a solution without the matrix if that is determined or the limb known, else by the limb
+    that the matrix shows itself. Where it misses much, other ways to read it are causes like all others. The
+    problem has the prior by the matrix.
     """
     assert task.factory is not None
     factory, limb_known = task.factory, determined or len(problem.limb_root) == STATIC

@@ -331,13 +331,9 @@ class DelayLeft(NamedTuple):
 
 
 def likeliest_delay(sets: Sequence[InSituSet], fits: Sequence[Solution]) -> DelayLeft:
-    """Return the delay beside the fit that would be the likeliest with it.
+    """Return the delay beside the fit, of those with loops by each law, that would be the likeliest with it.
 
     Delays and loops cancel each other, so that the fit without the delay is no guide.
-
-    Args:
-        sets: As they were fitted, each with times.
-        fits: With loops of hysteresis by each law.
     """
     tried = [(criterion(one), _delay_left(sets, one)) for one in fits]
     return min(tried, key=lambda one: one[0] - 2.0 * one[1].nats * (one[1].delay > 0.0))[1]

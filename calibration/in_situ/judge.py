@@ -248,10 +248,7 @@ def check_limb(
 ) -> list[Finding]:
     """Return whether the readings give the limb another mass than was given.
 
-    Args:
-        task: With the limb as it was given.
-        by_data: The limb's mass and its deviation in kg by the readings alone; None: not determined.
-        by_maker: The same by the readings with the factory matrix; None without one.
+    By the readings alone and with the factory matrix: mass and deviation in kg; None where not determined.
     """
     found, known = by_data or by_maker, task.limb
     if found is None or known is None:

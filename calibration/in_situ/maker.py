@@ -59,10 +59,8 @@ KEPT = 1e-6  # deviation of a matrix that is kept: no reading moves it
 def prior_of(task: Task, noise: Matrix, share: float = 1.0) -> Maker | None:
     """Return the factory matrix as a prior; None where there is none.
 
-    Args:
-        task: With the factory matrix, and how far it may be off where that is stated.
-        noise: Covariance of a sample, shape (k, k).
-        share: Of full scale by which the matrix may be off if nothing is stated.
+    ``noise`` is the covariance of a sample, (k, k), ``share`` that of full scale by which the matrix may be
+    off if nothing is stated.
     """
     if task.factory is None:
         return None
@@ -75,13 +73,8 @@ def prior_of(task: Task, noise: Matrix, share: float = 1.0) -> Maker | None:
 def _full_scale(matrix: Matrix, noise: Matrix, given: Sequence[float] | None) -> Vector:
     """Return the full scales of the axes up to a common factor, shape (6,).
 
-    Where no sheet states them, the noise tells: of one sensor's axes it is about the same share of each full
-    scale, whatever the unit of the channels and their mixture.
-
-    Args:
-        matrix: C of the maker in N and N m per count, or per newton, shape (6, k).
-        noise: Covariance of a sample, shape (k, k).
-        given: By the sheet in N and N m, shape (6,), or None.
+    Where no sheet states them in N and N m, (6,), the noise, (k, k), tells: of one sensor's axes it is about
+    the same share of each full scale, whatever the unit of the channels and their mixture.
     """
     if given is not None:
         return np.asarray(given, dtype=np.float64)
@@ -119,10 +112,7 @@ def log_prior(share: float) -> float:
 def lean(problem: Problem, starts: Sequence[Vector], stated: bool) -> list[Leaning]:
     """Return the fits by all likely sizes of the maker's errors, the likeliest first.
 
-    Args:
-        problem: With a maker's prior, or without.
-        starts: Outer unknowns to start from.
-        stated: Whether the size of the errors is that of the problem's prior, rather than to be learnt.
+    A size that is ``stated`` is that of the problem's prior, and not learnt.
     """
     start = minima(problem, starts)[0]
     if problem.maker is None or stated:

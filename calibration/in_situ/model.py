@@ -96,10 +96,8 @@ def stack_equations(
 ) -> tuple[Matrix, Matrix]:
     """Return regressors by (C row by row, phi_b) and targets of C r - T_b u = T_a u (paper, Eqs. 21-24).
 
-    Args:
-        basis: T_p, shape (p, 6, s).
-        parts: Signals and readings less the offset of each set, (n_j, s) and (n_j, k).
-        added: Inertial parameters of what was added in each, shape (p,).
+    Of T_p, (p, 6, s), and of each set its signals and readings less their offset, (n_j, s) and (n_j, k), and
+    the inertial parameters that were added, (p,).
     """
     rows, targets = [], []
     for (u, r), body in zip(parts, added, strict=True):

@@ -329,13 +329,10 @@ def follow(make: _Make, solution: Solution, rounds: int) -> Solution:
 def beside_loads(
     plain: Problem, columns: Sequence[Matrix], std: float, slopes: Matrix | None = None
 ) -> Problem:
-    """Add signals of the loads to a problem, each with one parameter: an axis's share of it.
+    """Add signals of the loads to a problem, each with one parameter of expected size: an axis's share of it.
 
-    Args:
-        plain: The problem without.
-        columns: Signals of the axes at the rows of each set, shape (m, 6), or behind q of ``slopes``.
-        std: Expected size of the parameters.
-        slopes: Slopes of the wrench of each of the first signals by the parameters, shape (q, 6, p).
+    Signals are of the axes at the rows of each set, (m, 6), or behind q of ``slopes``: those of the wrench of
+    each of the first signals by the parameters, (q, 6, p).
     """
     p, _, s = plain.basis.shape
     extra = () if slopes is None else slopes

@@ -342,9 +342,7 @@ def _signals_of(
 ) -> Array:
     """Return u, gravity and in motion the terms of rotation, shape (..., 3) or (..., 12).
 
-    Raises:
-        ValueError: If a shape is not that of the first reading, or motion is given for a limb
-            without inertia.
+    ValueError if a shape is not that of the first reading, or a limb without inertia moves.
     """
     *batch, channels = like.shape
     given = {"raw": (raw, channels), "gravity": (gravity, 3)}

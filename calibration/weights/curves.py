@@ -132,15 +132,9 @@ class _Shape(NamedTuple):
 
 
 def fit_curve(code: ArrayLike, load: ArrayLike) -> CurveFit | None:
-    """Fit a curve to the readings of one channel under known loads, if a line will not do.
+    """Fit a curve to a channel's finite counts under known loads in N, (n,) each, if a line will not do.
 
-    Args:
-        code: Readings in counts, shape (n,), finite.
-        load: Known loads in N, shape (n,).
-
-    Returns:
-        The curve; ``None`` if there are fewer than five loads, readings do not go one way with them, or a
-        line does as well.
+    ``None`` if there are fewer than five loads, readings do not go one way with them, or a line does as well.
     """
     raw, known = np.asarray(code, dtype=np.float64), np.asarray(load, dtype=np.float64)
     loads, number = np.unique(known, return_counts=True)

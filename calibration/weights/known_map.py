@@ -20,19 +20,10 @@ def read_map(
     names: Sequence[str],
     refusal: type[ValueError] = ValueError,
 ) -> tuple[Parameters, Curves]:
-    """Read the map of some channels, and the curves in front of it.
+    """Read a map of channels, (K,) each, and the curves in front of it, of a JSON file or its contents.
 
-    Args:
-        given: A JSON file, or its contents.
-        names: Names of the K channels, as in a layout (``left/front_left``) or in columns
-            (``left_front_left``).
-        refusal: The error to raise.
-
-    Returns:
-        The map, shape (K,) each, and the curves.
-
-    Raises:
-        ValueError: Or ``refusal``, if there is no such file, or no map of every channel in it.
+    Names are as in a layout (``left/front_left``) or in columns (``left_front_left``). ValueError, or
+    ``refusal``, if there is no such file, or no map of every channel in it.
 
     >>> read_map({"channels": ["b", "a"], "scale_N_per_count": [2.0, 1.0], "offset_N": [0.0, 5.0]}, ["a"])[0]
     Parameters(scale=array([1.]), offset=array([5.]))

@@ -161,22 +161,13 @@ class Window:
 
 
 def confidence_from_standing(setup: OnlineSetup, raw: Floats, reference: Reference) -> tuple[float, float]:
-    """Estimate delta_F and delta_P from a recording of quiet standing, as the paper does.
+    """Estimate delta_F in body weights and delta_P in foot lengths from quiet standing, as the paper does.
 
-    Both are standard deviations of the feet's forces against those that the motion requires, over a recording
-    that has passed the initial calibration. Standing shows noise and sway but not the errors of walking (the
-    errors of the centre of mass and of its acceleration), so that delta_P comes out as a lower bound.
-
-    Args:
-        setup: The robot; its initial map is the one that is judged.
-        raw: Readings, shape (N, K).
-        reference: The robot's beliefs, each field with N samples first; aligned with the readings.
-
-    Returns:
-        delta_F in body weights and delta_P in foot lengths.
-
-    Raises:
-        ValueError: If fewer than ten samples are finite and in contact.
+    Both are standard deviations of the feet's forces against those that the motion requires, over readings,
+    (N, K), aligned with the beliefs, that have passed the initial calibration: the setup's map. Standing
+    shows noise and sway but not the errors of walking (the errors of the centre of mass and of its
+    acceleration), so that delta_P comes out as a lower bound. ValueError if fewer than ten samples are finite
+    and in contact.
     """
     force = Parameters(*setup.initial).force(np.asarray(raw, dtype=np.float64))
     rows = moment_rows(setup.layout, reference.position_sole, reference.R_level_sole).sum(axis=1)

@@ -78,20 +78,12 @@ def gauss_newton(
     bound: Array,
     iterations: int,
 ) -> WindowSolution:
-    """Minimise Eq. 14 by Gauss-Newton steps of bounded length.
+    """Minimise Eq. 14 by Gauss-Newton steps of bounded length, from the parameters of the last update, (2K,).
 
-    In units of the spread, phi = (theta - theta_last) / s, the normal equations are (H + I) dphi = -g: their
-    smallest eigenvalue is one at least, so that one plus the trace of H bounds their condition number.
-
-    Args:
-        last: Parameters of the last update, shape (2K,).
-        phi: Rows, shape (N, 3, 2K).
-        vgrf: Fz_ref in N, shape (N,).
-        use: Weight of each sample, 0 or 1, shape (N,).
-        weights: The unit of residuals.
-        spread: s, shape (2K,).
-        bound: Largest change of each parameter in one iteration, shape (2K,).
-        iterations: How many steps to take.
+    In units of the spread s, (2K,), phi = (theta - theta_last) / s, the normal equations are (H + I) dphi =
+    -g: their smallest eigenvalue is one at least, so that one plus the trace of H bounds their condition
+    number. Rows ``phi``, (N, 3, 2K), and Fz_ref in N, (N,), are used where ``use``, (N,), is 1 and not 0;
+    ``bound`` is the largest change in one iteration, (2K,).
     """
     unknowns, largest = len(last), 0.01 / np.finfo(np.float64).eps
     theta = last
