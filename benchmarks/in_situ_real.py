@@ -70,16 +70,10 @@ _FOOT: dict[str, tuple[float | None, float, bool]] = {
 def icub_foot(folder: Path, methods: Collection[str] = tuple(_FOOT)) -> pd.DataFrame:
     """Calibrate the iCub's foot on one half of its recording and score it on all samples of the other.
 
-    Counts are filtered in each half by itself, and filtered counts are scored. The true wrench is
-    the weight of the model's foot.
-
-    Args:
-        folder: The folder that holds ``ft/``.
-        methods: Keys of ``_FOOT``, which are compared with the factory matrix.
-
-    Returns:
-        By method and by the half that was fitted, ``"first"`` or ``"second"``: the RMSE of the wrench in N
-        and N m against the model's weight, the limb's mass in kg, and why the fit was refused.
+    Counts are filtered in each half by itself, and filtered counts are scored. The true wrench is the weight
+    of the model's foot. By method, one of ``_FOOT`` beside the factory matrix, and by the half that was
+    fitted, ``"first"`` or ``"second"``: the RMSE of the wrench in N and N m, the limb's mass in kg, and why
+    the fit was refused.
     """
     with np.load(folder / "ft" / "icub_right_foot_swing.npz") as file:
         time, raw, gravity = file["t"], file["raw"], file["gravity"]
@@ -129,14 +123,9 @@ def gamma_on_arm(folder: Path) -> pd.DataFrame:
     ``calibrate_in_situ`` gets the identity as factory matrix: the recording holds wrenches, not counts. The
     accelerometer's axes are not the sensor's, so that their rotation is estimated as well.
 
-    Args:
-        folder: The folder that holds ``ft/``.
-
-    Returns:
-        By the source of gravity: the distance of the offset's force from that of III-B with the arm's own
-        gravity in N, by III-B and by ``calibrate_in_situ``; semi-axes of the forces' ellipsoid in N; the
-        limb's mass in kg; and the RMSE of a force in N that III-B predicts in a direction that it has not
-        seen.
+    By the source of gravity: the distance of the offset's force from that of III-B with the arm's own gravity
+    in N, by III-B and by ``calibrate_in_situ``; semi-axes of the forces' ellipsoid in N; the limb's mass in
+    kg; and the RMSE of a force in N that III-B predicts in a direction that it has not seen.
     """
     with np.load(folder / "ft" / "kuka_ati_gamma_static.npz") as file:
         wrench, specific_force, kinematic = file["wrench"], file["accel_g"], file["gravity"]

@@ -37,8 +37,7 @@ SPEED_DEG = 12.0
 def make_sample(seed: int = SEED) -> tuple[dict[str, Floats], list[RigRecording], Floats]:
     """Record eight sets of a minute each with one sensor, switched on once.
 
-    Returns:
-        The columns of the log, the recordings behind them, and the true A in counts per N and N m, (6, 6).
+    Returns the log's columns, the recordings behind them, and the true A in counts per N and N m, (6, 6).
     """
     config = preset("icub-ftsens-leg", StrainGauges)
     sensor, motion = strain_gauges(config), imu(Imu(accelerometer_bias_std=0.005, averaged=True))

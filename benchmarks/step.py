@@ -86,12 +86,7 @@ def specification() -> Iterator[None]:
 
 
 class Stack:
-    """An environment with layers around it, which steps by the library or without.
-
-    Args:
-        env: The environment.
-        native: Whether it steps by the library.
-    """
+    """An environment with layers around it, which steps by the library or without."""
 
     def __init__(self, env: Any, native: bool) -> None:
         self.env, self._way = env, nullcontext if native else specification

@@ -117,12 +117,7 @@ class BatchVectorEnv(SyncVectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Reset all robots, or those of ``options["reset_mask"]``.
-
-        Args:
-            seed: A number, to which each robot adds its place among them, or one a robot.
-            options: Handed to the task but for the mask.
-        """
+        """Reset all robots, or those of ``options["reset_mask"]``, seeded by one, plus places, or each."""
         mask = (options or {}).get("reset_mask")
         _, infos = super().reset(seed=seed, options=options)
         self._begin(np.ones(self.num_envs, dtype=bool) if mask is None else mask)
@@ -150,12 +145,9 @@ class BatchVectorEnv(SyncVectorEnv):
     ) -> tuple[Observation, Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Step all robots; in the mode ``NEXT_STEP`` those whose episode is over are reset instead.
 
-        Actions are residuals on the leg motors' targets as shares of ``action_scale``, shape (N, 11).
-
-        Raises:
-            ValueError: If the actions have another shape or are not finite.
-            gymnasium.error.ResetNeeded: If the environment has not been reset, or, in the mode ``DISABLED``,
-                robots whose episode is over have not.
+        Actions are residuals on the leg motors' targets as shares of ``action_scale``, shape (N, 11), or
+        ValueError. ResetNeeded if the environment has not been reset, or, in the mode ``DISABLED``, robots
+        whose episode is over have not.
         """
         task, mode = self._task, self.autoreset_mode
         starting = self._starting()

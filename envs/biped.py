@@ -230,9 +230,7 @@ class BipedEnv(DrawnEnv):
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Go on for one control step, with residuals as shares of ``action_scale``, shape (L,).
 
-        Raises:
-            ValueError: If the action has another shape or is not finite.
-            gymnasium.error.ResetNeeded: If the environment has not been reset.
+        ValueError if the action has another shape or is not finite, ResetNeeded before the first reset.
         """
         if not hasattr(self, "state"):
             raise gym.error.ResetNeeded("Call reset() before the first step().")

@@ -152,11 +152,9 @@ def observe(
 ) -> tuple[Observation, Floats, Floats, Floats]:
     """Show one robot, but for the forces of its cells; the state is not brought into its bounds.
 
-    Of the last row, (columns,), MuJoCo's velocities then, (nv,), and ``cop_held`` before this step.
-
-    Returns:
-        The observation; wrenches at and in the soles' frames in N and N m, shape (12,); ``seen`` and
-        ``cop_held`` of :class:`Look`.
+    Of the last row, (columns,), MuJoCo's velocities then, (nv,), and ``cop_held`` before this step: the
+    observation; wrenches at and in the soles' frames in N and N m, shape (12,); ``seen`` and ``cop_held`` of
+    :class:`Look`.
     """
     row = last.tolist()
     columns = places.feet.columns

@@ -99,15 +99,9 @@ class Prelude(NamedTuple):
 
 
 class Player:
-    """Plays a prelude before an environment's own commands.
+    """Plays a prelude, or its file, or none, before an environment's own commands, in steps of ``dt`` s.
 
-    Args:
-        prelude: The prelude, the path of its file, or ``None`` for none.
-        motors: Names of the environment's motors.
-        dt: The environment's step in s.
-
-    Raises:
-        ValueError: If the prelude is for other motors.
+    ``motors`` are the environment's; ValueError if the prelude is for others.
     """
 
     def __init__(self, prelude: Prelude | AnyPath | None, motors: Sequence[str], dt: float) -> None:

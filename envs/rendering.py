@@ -45,16 +45,9 @@ class DrawnEnv(gym.Env[Any, Any]):
 class SceneRenderer:
     """Gymnasium's MuJoCo renderer, made when the first frame is wanted.
 
-    Args:
-        model: The model to draw.
-        data: Its state.
-        camera: A camera of the model, or where a free one looks: its ``lookat`` in m and ``distance`` in m.
-            A window follows the torso in place of a named one, and the mouse turns it.
-        width: Width in pixels.
-        height: Height in pixels.
-
-    Raises:
-        ValueError: If the model has no such camera or a size is not positive.
+    The camera is one of the model, or where a free one looks: its ``lookat`` in m and ``distance`` in m. A
+    window follows the torso in place of a named one, and the mouse turns it. Width and height are in pixels;
+    ValueError if the model has no such camera or a size is not positive.
     """
 
     def __init__(
@@ -79,8 +72,7 @@ class SceneRenderer:
     def render(self, mode: str | None, markers: Iterable[Marker]) -> NDArray[np.uint8] | None:
         """Draw the scene with spheres: a frame, (height, width, 3); nothing for a window or without a mode.
 
-        Raises:
-            RuntimeError: If there is no screen for a window, or nothing that could draw a frame.
+        RuntimeError if there is no screen for a window, or nothing that could draw a frame.
         """
         if mode is None:
             gym.logger.warn("render() draws nothing without a render mode, such as 'rgb_array'.")

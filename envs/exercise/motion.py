@@ -106,17 +106,11 @@ def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Moti
 
 
 class Motion:
-    """Everything that a robot does in an exercise, planned once.
+    """Everything that a robot does in an exercise, planned once; ValueError if the legs cannot do it.
 
-    Attributes:
-        qpos: The posture between the moves, shape (nq,).
-        height: Height of the centre of mass in it in m.
-        up_torso: The vertical in the torso's axes in it, shape (3,).
-        position_sole: Places of the soles in m, shape (2, 3).
-        yaw_sole: Their headings in rad, shape (2,).
-
-    Raises:
-        ValueError: If the legs cannot do it.
+    Of the posture between the moves: ``qpos``, (nq,); ``height`` of the centre of mass in m; ``up_torso``,
+    the vertical in the torso's axes, (3,); ``position_sole`` in m, (2, 3), and the headings ``yaw_sole`` in
+    rad, (2,).
     """
 
     def __init__(self, robot: ExerciseRobot) -> None:
@@ -239,8 +233,7 @@ class Motion:
     def prelude(self, names: Sequence[str], dt: float) -> Prelude:
         """Plan motions by name (:func:`~surefoot.envs.exercise.moves.motions_of`), a row each ``dt`` s.
 
-        Raises:
-            ValueError: If there is no such motion, or it goes farther than the legs reach.
+        ValueError if there is no such motion, or it goes farther than the legs reach.
         """
         moves = [move for name in names for move in motions_of(name)]
         for move in moves:

@@ -28,24 +28,14 @@ class UnreachableError(ValueError):
 class Postures:
     """Level soles where the robot stands, an upright torso and a centre of mass in a given place.
 
-    Args:
-        robot: The robot.
-        bend: Flexion in rad that is added to the knees of legs that pitch in hip, knee and ankle.
-        inward: How far inside the middle of its sole the robot stands on one leg, as a share of half the
-            sole's width.
+    ``bend`` is added in rad to the knees of legs that pitch in hip, knee and ankle; ``inward`` is how far
+    inside the middle of its sole the robot stands on one leg, in half widths of the sole. UnreachableError if
+    the first posture is out of the legs' reach.
 
-    Attributes:
-        position_sole: Origins of the soles on the ground in m, shape (2, 3); they lie about the origin.
-        yaw_sole: Their headings in rad, shape (2,).
-        forward: Mean heading, shape (3,).
-        left: Across it, shape (3,).
-        up_torso: The vertical in the torso's axes, shape (3,).
-        stand: Where the soles bear the robot in m, shape (2, 2).
-        com: Centre of mass between the two in m, shape (3,).
-        qpos: The posture with it, shape (nq,).
-
-    Raises:
-        UnreachableError: If the first posture is out of the legs' reach.
+    ``position_sole`` are the soles' origins on the ground in m about the common origin, (2, 3), ``yaw_sole``
+    their headings in rad, (2,); ``forward`` is the mean heading, ``left`` across it, ``up_torso`` the
+    vertical in the torso's axes, (3,) each; ``stand`` is where the soles bear the robot in m, (2, 2), ``com``
+    the centre of mass between the two in m, (3,), and ``qpos`` the posture with it, (nq,).
     """
 
     def __init__(self, robot: ExerciseRobot, bend: float, inward: float) -> None:
@@ -91,8 +81,7 @@ class Postures:
     def solve(self, com: Floats, lift: Floats, start: Floats) -> Floats:
         """Find a posture, (nq,), from another: centre of mass, (3,), and heights of the soles, (2,), in m.
 
-        Raises:
-            UnreachableError: If it is out of the legs' reach or limits.
+        UnreachableError if it is out of the legs' reach or limits.
         """
         configuration = self._configuration
         configuration.update(start)

@@ -53,11 +53,9 @@ def prepare_robot(robot: Any, feet: Sequence[str] | None = None, *, boxes: bool 
     and floor, or such a ``mujoco.MjSpec``, which is not changed; ``feet`` are names of bodies, the left one
     first, or guessed. With ``boxes`` meshes that are only seen become boxes, which take less memory.
 
-    Raises:
-        ModuleNotFoundError: If a named robot's package is missing.
-        TypeError: If ``robot`` or ``feet`` is of another type.
-        ValueError: If there is no such robot or file, it has not two flat feet, it does not float on one free
-            joint, or a joint of a leg has no position motor.
+    ModuleNotFoundError if a named robot's package is missing, TypeError for other types, ValueError if there
+    is no such robot or file, it has not two flat feet, it does not float on one free joint, or a joint of a
+    leg has no position motor.
     """
     spec = _load(robot)
     if boxes and spec.meshes:

@@ -67,14 +67,12 @@ def joint_torques(model: mujoco.MjModel, qpos: Floats, cop_foot: Floats, share: 
 
     They are what the motors have to supply besides friction and damping, which are counted in; zero for the
     floating torso up to rounding. While both feet carry, their wrenches are not determined by the motion: the
-    one taken is the smallest, each foot's weighed by its share of the load, shape (ticks, 2).
+    one taken is the smallest, each foot's weighed by its ``share`` of the load, shape (ticks, 2), of which
+    one is positive.
 
-    Args:
-        model: The robot, with bodies ``left_plate`` and ``right_plate``.
-        qpos: Postures, shape (ticks, nq), at rest before the first and after the last.
-        cop_foot: Where each foot is to carry, in the world, shape (ticks, 2, 2), m.
-        share: Share of the load on each foot; at least one is positive.
-        dt: Time from one posture to the next in s.
+    The model has bodies ``left_plate`` and ``right_plate``; postures, (ticks, nq), each ``dt`` s, rest before
+    the first and after the last; ``cop_foot`` is where each foot is to carry, in the world in m, (ticks, 2,
+    2).
     """
     free = copy.copy(model)
     free.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)

@@ -92,11 +92,8 @@ def plan_footsteps(speed: float, turn_rate: float, steps: int, step_time: float)
 
     Speed in m/s, negative backwards, and change of heading in rad/s, positive to the left, with a number of
     footsteps, the closing one included, of ``step_time`` s. The first is by the foot on the inside of the
-    turn, the left when straight.
-
-    Raises:
-        ValueError: If a step would be longer, or turn further, than the legs allow, if fewer than two
-            steps are asked for, or if an argument is not finite.
+    turn, the left when straight. ValueError if a step would be longer, or turn further, than the legs allow,
+    if fewer than two steps are asked for, or if an argument is not finite.
 
     >>> [step.foot for step in plan_footsteps(0.04, 0.0, 4, 0.8)]
     [0, 1, 0, 1]

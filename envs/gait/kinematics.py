@@ -41,9 +41,8 @@ class JointTrack(NamedTuple):
 class WholeBodyKinematics:
     """Inverse kinematics of a biped with given soles, level unless a pitch is given, and an upright torso.
 
-    Args:
-        model: The robot, with sites ``left_sole`` and ``right_sole``, a body ``torso`` on a free joint, and a
-            keyframe ``stand`` to start from; the arms and the head stay as they are there.
+    The model has sites ``left_sole`` and ``right_sole``, a body ``torso`` on a free joint, and a keyframe
+    ``stand`` to start from; the arms and the head stay as they are there.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -78,20 +77,11 @@ class WholeBodyKinematics:
         start: Floats | None = None,
         pitch_sole: Floats | None = None,
     ) -> tuple[Floats, float]:
-        """Find the posture with the soles and the centre of mass in given places, and its error.
+        """Find the posture, (nq,), of some places, and the largest remaining error of a position in m.
 
-        Args:
-            com: Centre of mass, shape (3,), m.
-            position_sole: Both soles' origins, shape (2, 3), m.
-            yaw_sole: Both soles' headings, shape (2,), rad.
-            start: Posture to start from, shape (nq,); the keyframe ``stand`` when not given.
-            pitch_sole: Both soles' pitch, positive toe down, shape (2,), rad; level when not given.
-
-        Returns:
-            The posture, shape (nq,), and the largest remaining error of a position in m.
-
-        Raises:
-            ValueError: If the posture is out of the legs' reach or limits.
+        Places are the centre of mass, (3,), the soles' origins, (2, 3), in m, their headings, (2,), and their
+        pitch in rad, positive toe down, (2,), level when not given; the posture to start from, (nq,), is the
+        keyframe ``stand`` when not given. ValueError if it is out of the legs' reach or limits.
         """
         if start is None:
             self._configuration.update_from_keyframe("stand")

@@ -146,10 +146,8 @@ def plan_route(
     Legs that walk flow into each other; a leg that stands has the feet side by side from its first moment to
     its last. A walk takes whole steps, so that it may stand up to a step before its time is over. The stands
     before and after the route are part of the duration, and so is the time that it leaves over; without one
-    it is as long as it takes. Other arguments are those of :func:`plan_walk`.
-
-    Raises:
-        ValueError: If the route asks more than the legs can do, or does not fit into the duration.
+    it is as long as it takes. Other arguments are those of :func:`plan_walk`. ValueError if the route asks
+    more than the legs can do, or does not fit into the duration.
 
     >>> plan_route((Leg(4.0, 0.04, 0.0), Leg(2.0, 0.0, 0.0), Leg(4.0, 0.0, 0.2))).ticks
     960

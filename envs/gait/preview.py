@@ -39,14 +39,9 @@ INPUT_WEIGHT = 1e-6
 
 
 class CartTable:
-    """The cart-table model.
+    """The cart-table model, with the centre of mass at a height in m above the ground, in steps of ``dt`` s.
 
-    Args:
-        height: Height of the centre of mass above the ground, :math:`z_c`, in m.
-        dt: Sample period in s.
-
-    Attributes:
-        A, B, C: State transition, shape (3, 3), input, (3,), and output, (3,): the zero-moment point.
+    State transition ``A``, (3, 3), input ``B``, (3,), and output ``C``, (3,): the zero-moment point.
     """
 
     def __init__(self, height: float, dt: float) -> None:

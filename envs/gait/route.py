@@ -38,8 +38,7 @@ class Leg(NamedTuple):
 def parse_route(route: Any) -> tuple[Leg, ...]:
     """Make legs of an option's value: (duration in s, speed in m/s, turn rate in rad/s), as lists or tuples.
 
-    Raises:
-        ValueError: If it is not a sequence of such legs, naming the first that is none.
+    ValueError if it is not a sequence of such legs, naming the first that is none.
 
     >>> parse_route([[8.0, 0.04, 0.0], [3.0, 0, 0]])[1].stands
     True
@@ -68,11 +67,8 @@ def parse_route(route: Any) -> tuple[Leg, ...]:
 def plan_legs(legs: Sequence[Leg], timing: GaitTiming) -> tuple[tuple[Walk, ...], int]:
     """Place the footsteps of a route that begins after the first stand of a pattern.
 
-    Returns:
-        The walks, legs without a stand between them being one, and the control step at which the route ends.
-
-    Raises:
-        ValueError: If a leg is too fast for the legs of the robot, or too short for two steps or a stand.
+    Returns the walks, legs without a stand between them being one, and the control step at which the route
+    ends; ValueError if a leg is too fast for the legs of the robot, or too short for two steps or a stand.
     """
     tick, walks = timing.stand_ticks, []
     where = (0.0, 0.0, 0.0)

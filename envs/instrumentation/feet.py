@@ -63,11 +63,9 @@ def find_feet(
     sole plate is part of its foot. The left one of two comes first, by its name (left, l_, L...) or else by
     its place. ``data`` has the pose in which the robot stands, with its kinematics evaluated.
 
-    Raises:
-        TypeError: If ``names`` is a single name, or holds something else.
-        ValueError: If a body does not exist, is named twice or hangs on another foot, the feet hang on
-            different robots, no pair of feet can be found, the robot does not stand on them, or feet that
-            were guessed do not bear its weight.
+    TypeError if ``names`` is a single name, or holds something else; ValueError if a body does not exist, is
+    named twice or hangs on another foot, the feet hang on different robots, no pair of feet can be found, the
+    robot does not stand on them, or feet that were guessed do not bear its weight.
     """
     if names is None:
         return _guess(model, data)

@@ -46,11 +46,10 @@ def _add_up(substeps: Sequence[Sequence[float]]) -> tuple[list[float], float, fl
 def mean_truth(rows: Floats, layout: RowLayout) -> dict[str, NDArray[Any]]:
     """Compute the truth of a control step, (S, columns), for ``info``: means of its substeps, by ideal cells.
 
-    Returns:
-        Arrays of their own: ``force_cell`` (4 F) N where all feet have an area; ``vgrf`` (F) N; ``cop_world``
-        (2) m, ``cop_foot`` (F, 2) m in the soles' frames and ``cop`` (2) m in the level frame midway between
-        them; ``cop_valid`` (1 + F), which of these there are, the common one first (the others are 0);
-        ``com`` (3) m; ``wrench_sole`` and ``wrench_ankle`` (F, 6) N and N m.
+    Arrays of their own: ``force_cell`` (4 F) N where all feet have an area; ``vgrf`` (F) N; ``cop_world`` (2)
+    m, ``cop_foot`` (F, 2) m in the soles' frames and ``cop`` (2) m in the level frame midway between them;
+    ``cop_valid`` (1 + F), which of these there are, the common one first (the others are 0); ``com`` (3) m;
+    ``wrench_sole`` and ``wrench_ankle`` (F, 6) N and N m.
     """
     share, columns = 1.0 / len(rows), layout.columns
     up = columns.up * share

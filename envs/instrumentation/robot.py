@@ -200,12 +200,9 @@ def measure_robot(
     """Measure a robot in the pose of ``data`` in which it stands, of which the kinematics were evaluated.
 
     ``feet`` are names of bodies, or guessed; ``cells`` are places by the foot's body, shape (4, 2), others
-    lie in the corners, drawn in from the sole's edges by ``margin`` m.
-
-    Raises:
-        TypeError: If ``feet`` is a single name.
-        ValueError: If feet cannot be found, cannot touch or have no name, a layout is wrong, or gravity
-            does not point along -z.
+    lie in the corners, drawn in from the sole's edges by ``margin`` m. TypeError if ``feet`` is a single
+    name; ValueError if feet cannot be found, cannot touch or have no name, a layout is wrong, or gravity does
+    not point along -z.
     """
     bodies = find_feet(model, data, feet)
     geometry = tuple(measure_foot(model, data, body) for body in bodies)

@@ -28,10 +28,8 @@ def put_soles(
 
     The box hangs right below the lowest point of the foot, touches as the foot's first geom does in the same
     way, and makes the robot taller by its thickness. The specification is changed; the model is the same,
-    compiled. Sizes are (length, width, thickness) in m by the foot's body.
-
-    Raises:
-        ValueError: If a body is no foot, a size is not positive, or the foot touches in pairs of geoms only.
+    compiled. Sizes are (length, width, thickness) in m by the foot's body. ValueError if a body is no foot, a
+    size is not positive, or the foot touches in pairs of geoms only.
     """
     data = standing_pose(model)
     measured = [measure_foot(model, data, body) for body in find_feet(model, data, feet)]

@@ -60,12 +60,7 @@ class Instrumentation:
     def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> FeetTruth:
         """Read all sensors: the state at the beginning of the last step, or at ``mj_forward``.
 
-        Args:
-            model: The compiled :attr:`spec`, or a user's change of it.
-            data: Its state.
-
-        Raises:
-            ValueError: If the model lacks the sensors.
+        Of the compiled :attr:`spec`, or a user's change of it; ValueError if it lacks the sensors.
         """
         return self.read_rows(model, data.sensordata)
 
@@ -74,11 +69,7 @@ class Instrumentation:
         return FeetTruth(sensordata[..., self.columns(model)].copy(), self.layout.rows)
 
     def columns(self, model: mujoco.MjModel) -> slice:
-        """Find where the sensors that were added lie in the sensor data of a model.
-
-        Raises:
-            ValueError: If the model lacks them.
-        """
+        """Find where the sensors that were added lie in a model's data; ValueError if it lacks them."""
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, self.first_sensor)
         if number < 0:
             raise ValueError(

@@ -198,9 +198,8 @@ def wrench_at_sole(foot: Sequence[float], up: float) -> list[float]:
 def ground_at_feet(feet: Sequence[Sequence[float]], up: float) -> tuple[list[list[float]], list[float]]:
     """Find the ground's load on the feet, of the numbers that :func:`wrench_at_sole` takes, (F, 21).
 
-    Returns:
-        Wrenches at and in the sole frames in N and N m, (F, 6); and of all feet together the load in N and
-        the moments about the world's x and y at the height of the contacts in N m, (3).
+    Wrenches at and in the sole frames in N and N m, (F, 6); and of all feet together the load in N and the
+    moments about the world's x and y at the height of the contacts in N m, (3).
     """
     wrench, load, moment_x, moment_y = [], 0.0, 0.0, 0.0
     for foot in feet:
@@ -216,9 +215,8 @@ def centres(
 ) -> tuple[list[list[float]], list[bool]]:
     """Find centres of pressure of :func:`ground_at_feet` feet, of which ``flat`` ones, (F), have an area.
 
-    Returns:
-        The centre of all feet in the world and those of each foot in its sole's frame in m, 0 where there is
-        none, (1 + F, 2); and which of these there are, (1 + F).
+    The centre of all feet in the world and those of each foot in its sole's frame in m, 0 where there is
+    none, (1 + F, 2); and which of these there are, (1 + F).
     """
     found, valid = [], []
     for (fz, mx, my), area in zip((common, *(foot[2:5] for foot in wrench)), (True, *flat), strict=True):

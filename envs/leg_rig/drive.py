@@ -6,21 +6,11 @@ from surefoot.arrays import Floats
 
 
 class HipDrive:
-    """Targets of position servos that follow speeds with limited acceleration.
+    """Targets of position servos that follow speeds with limited acceleration in rad/s^2.
 
-    A speed changes evenly over a step, by at most ``acceleration`` times its duration, and only so that the
-    target can still come to rest within its range.
-
-    Args:
-        low: Lower ends of the ranges in rad, shape (J,).
-        high: Upper ends of the ranges in rad, shape (J,).
-        acceleration: Largest acceleration of a target in rad/s^2.
-        step: Duration of a step in s.
-        substeps: Targets to give for each step.
-
-    Attributes:
-        target: The servos' targets now in rad, shape (J,).
-        speed: How fast the target moves now in rad/s, shape (J,).
+    A speed changes evenly over a step of ``step`` s, by at most ``acceleration`` times that, and only so that
+    the target can still come to rest within its range, ``low`` to ``high`` in rad, (J,); a step has
+    ``substeps`` targets. ``target`` and its ``speed`` are those of now in rad and rad/s, (J,).
     """
 
     def __init__(self, low: Floats, high: Floats, *, acceleration: float, step: float, substeps: int) -> None:

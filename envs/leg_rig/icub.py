@@ -23,15 +23,9 @@ def load_icub_leg_spec(configuration: int = 1, *, side: Literal["left", "right"]
 
     The sensors lie where the fixed joints ``leg_ft_sensor`` and ``foot_ft_sensor`` are, with their frames: x
     forward, y right, z down. In this model the feet's sensors lie 0.4212 m below the legs', not 0.3636 m as
-    in the experiment of 2015: added masses keep their places in the foot sensor's frame.
-
-    Args:
-        configuration: Which masses to add, 1 to 8 (:data:`~surefoot.envs.leg_rig.spec.ADDED_MASSES`).
-        side: Which leg.
-
-    Raises:
-        ImportError: If ``icub-models`` is not installed.
-        ValueError: If there is no such configuration or side.
+    in the experiment of 2015: added masses, 1 to 8 (:data:`~surefoot.envs.leg_rig.spec.ADDED_MASSES`), keep
+    their places in the foot sensor's frame. ImportError if ``icub-models`` is not installed, ValueError if
+    there is no such configuration or side.
     """
     load = added_mass(configuration)
     if side not in ("left", "right"):

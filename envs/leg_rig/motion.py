@@ -46,16 +46,10 @@ def sweep(
     turns, and in numbers without a common divisor: the path weaves through all postures (Lissajous), and no
     slow drift of a sensor looks like a turn of the limb.
 
-    Args:
-        duration: In s.
-        rate: Samples per s.
-        speed_deg: Highest speed of each joint in deg/s.
-        range_deg: Ranges (front-back, lateral) in deg, from minus to plus the half; by default those of the
-            rig. A range of 0 holds the joint.
-        phase: Of the lateral swing at the beginning, in rad.
-
-    Raises:
-        ValueError: If numbers are not positive, or the time is too short for two swings at that speed.
+    Duration in s at a rate in 1/s, the highest speed of each joint in deg/s, the ranges (front-back, lateral)
+    in deg from minus to plus the half, by default those of the rig, where 0 holds the joint, and the phase in
+    rad of the lateral swing at the beginning. ValueError if numbers are not positive, or the time is too
+    short for two swings at that speed.
     """
     time, amplitude = _samples(duration, rate), _half_ranges(range_deg)
     period = _periods(amplitude, speed_deg)
@@ -101,15 +95,9 @@ def swing(
 ) -> HipMotion:
     """Swing both joints at 0.8 to 2 Hz about middles that move over the rest of the ranges.
 
-    Args:
-        duration: In s.
-        rate: Samples per s.
-        swing_deg: Largest deflection from the moving middle in deg.
-        range_deg: Ranges (front-back, lateral) in deg; those of the rig by default.
-        seed: Of the three frequencies and phases of each joint.
-
-    Raises:
-        ValueError: If numbers are not positive or the swings do not fit into the ranges.
+    Duration, rate and ranges are those of :func:`sweep`; ``swing_deg`` is the largest deflection from the
+    moving middle, and the seed is that of the three frequencies and phases of each joint. ValueError if
+    numbers are not positive or the swings do not fit into the ranges.
     """
     time = _samples(duration, rate)
     rest = _half_ranges(range_deg) - np.radians(positive("swing_deg", swing_deg))

@@ -97,14 +97,10 @@ def load_leg_rig_spec(
 ) -> mujoco.MjSpec:
     """Build the rig of one data set in memory: a specification of its own, to ``compile()``.
 
-    Args:
-        configuration: Which masses to add, 1 to 8 (:data:`ADDED_MASSES`).
-        knee_slack: By how many rad the knee bends per N m; 0 holds it, 0.02 bends it by some degrees.
-        floor: Whether a block of foam stands where the tip of the beam meets it at the rear end of the
-            front-back range.
-
-    Raises:
-        ValueError: If there is no such configuration or the slack is not finite, or negative.
+    With masses 1 to 8 (:data:`ADDED_MASSES`); the knee bends by ``knee_slack`` rad per N m, where 0 holds it
+    and 0.02 bends it by some degrees; with ``floor`` a block of foam stands where the tip of the beam meets
+    it at the rear end of the front-back range. ValueError if there is no such configuration or the slack is
+    not finite, or negative.
     """
     load = added_mass(configuration)
     slack = positive("knee_slack", knee_slack, or_zero=True)

@@ -15,14 +15,8 @@ PUSH_TIME = 0.1  # how long a push lasts in s
 class Pushes:
     """Horizontal pushes of constant force at the torso's centre of mass, at random times.
 
-    Args:
-        model: The robot.
-        impulse: Smallest and largest impulse in N s.
-        interval: Mean time from one push to the next in s; the intervals are exponentially distributed.
-        dt: Control step in s.
-
-    Attributes:
-        quiet_time: How long after a reset none comes, in s.
+    Impulses lie between the smallest and the largest in N s; the times between two are exponentially
+    distributed with the mean ``interval`` in s. For ``quiet_time`` s after a reset there are none.
     """
 
     quiet_time = 0.0
@@ -69,20 +63,11 @@ LINK = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
 
 
 class Payload:
-    """A cube fixed to the torso from a given time of the episode on.
+    """A cube fixed to the torso from a given time of the episode on: (mass in kg, time in s), or ``None``.
 
     It changes the simulated robot alone: the pattern and every nominal model keep the robot as it was.
-
-    Args:
-        model: The robot, which is changed when the payload appears.
-        payload: (mass in kg, time in s), or ``None`` for none.
-        dt: Control step in s.
-
-    Attributes:
-        carried: Whether the robot carries it now.
-
-    Raises:
-        ValueError: If the payload is neither, or a number is negative.
+    ``carried`` says whether the robot carries it now. ValueError if the payload is neither, or a number is
+    negative.
     """
 
     def __init__(self, model: mujoco.MjModel, payload: Sequence[float] | None, dt: float) -> None:
@@ -97,8 +82,7 @@ class Payload:
     def plan(self, mass: float, time: float, position: Sequence[float] = POSITION_PAYLOAD_TORSO) -> None:
         """Plan a mass in kg, 0 for none, at a time of the episode in s and a place in the torso's frame in m.
 
-        Raises:
-            RuntimeError: If the robot carries one now; after :meth:`reset` it carries none.
+        RuntimeError if the robot carries one now; after :meth:`reset` it carries none.
         """
         if self.carried:
             raise RuntimeError(

@@ -21,11 +21,9 @@ from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names
 
 
 def truth_layout(model: mujoco.MjModel, stiffness: Sequence[float]) -> RowLayout:
-    """Find where MuJoCo's sensors lie in a row of sensor data, and how the plates share their loads.
+    """Find where MuJoCo's sensors lie in the sensor data of nao.xml, and how the plates share their loads.
 
-    Args:
-        model: A compiled model with the sensors of nao.xml.
-        stiffness: Relative stiffnesses of the eight cells, shape (8,).
+    ``stiffness`` are the relative stiffnesses of the eight cells, shape (8,).
     """
 
     def block(first: str, last: str) -> slice:

@@ -20,14 +20,11 @@ TILT_SCALE = 0.2  # tilt of the torso in rad at which its reward has fallen to 1
 
 
 class NaoPatternEnv(NaoEnv):
-    """Follow a pattern; subclasses plan it, at the latest when an episode starts.
+    """Follow a pattern; subclasses make the ``pattern``, at the latest when an episode starts.
 
     True and planned values are compared in the level frames of the true and of the commanded soles, so that a
-    walk that has drifted off its line is not paid less for it.
-
-    Attributes:
-        pattern: The plan.
-        cop_scale: Error of the centre of pressure in m at which its reward has fallen to 1/e.
+    walk that has drifted off its line is not paid less for it. ``cop_scale`` is the error of the centre of
+    pressure in m at which its reward has fallen to 1/e.
     """
 
     pattern: Pattern

@@ -44,19 +44,15 @@ def calibrate_in_situ_log(
     stem: str | None = None,
     topics: Path | None = None,
 ) -> CalibratedSensor:
-    """Read a log, fit matrix, offsets and limb, and write the result.
+    """Read a log with all sets, or several with one each, fit matrix, offsets and limb, and write the result.
 
-    Args:
-        paths: One log with all sets, or several with one each.
-        config: Settings that the tables leave open; by default the TOML file beside the first one.
-        folder: Where the files go.
-        accept: Why to go on past the fit's refusals; each file has this reason and the refusals. Empty: not.
-        stem: How their names begin; by default the first log's name.
-        topics: The mapping file of ROS bags; by default the one beside each.
+    ``config`` are settings that the tables leave open, by default the TOML file beside the first one;
+    ``topics`` the mapping file of ROS bags, by default the one beside each. Names in the folder begin with
+    ``stem``, by default the first log's name. ``accept`` is why to go on past the fit's refusals, which each
+    file has beside this reason; empty for not.
 
-    Raises:
-        LogError: If the log cannot be used; the message has the cure.
-        CalibrationRefused: If the log does not determine the calibration; nothing is written.
+    LogError if the log cannot be used, with the cure; CalibrationRefused if the log does not determine the
+    calibration, and nothing is written.
     """
     paths = [paths] if isinstance(paths, Path) else list(paths)
     stem = paths[0].stem if stem is None else stem

@@ -52,14 +52,7 @@ def write_ros2_parameters(
 
     The filter takes the readings that the driver reports; of a sensor that has not six channels, which is no
     wrench, it takes the matrix times the readings. A comment holds what the broadcaster needs without the
-    filter.
-
-    Args:
-        fit: The calibration.
-        path: The file.
-        temperature: At which it shall hold in degC, of a sensor that follows the temperature.
-        node: Name of the broadcaster.
-        frame_id: Frame of the sensor.
+    filter. It holds at a temperature in degC, of a sensor that follows the temperature.
     """
     matrix, offset = map_at(fit, temperature)
     wrench = matrix @ offset

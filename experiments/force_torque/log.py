@@ -71,16 +71,10 @@ def read_in_situ_log(
 ) -> InSituLog:
     """Read a log with all sets, or several with one set each, that does not mislead the fit.
 
-    Args:
-        paths: One ``.csv`` or ``.parquet`` file or ROS bag, or several; a file without a column of sets is
-            one set that has the file's name without its ending.
-        config: Settings that the tables leave open, or their TOML file; by default the one beside the first
-            file.
-        topics: The mapping file of bags; by default the one beside each.
-
-    Raises:
-        LogError: If a file, a column, a value or a mass is not as it must be. The message names the file, the
-            column, the value and the cure.
+    Tables or ROS bags; a file without a column of sets is one set that has the file's name without its
+    ending. Settings that the tables leave open are those of ``config``, by default the TOML file beside the
+    first file; ``topics`` is the mapping file of bags, by default the one beside each. LogError names the
+    file, the column, the value and the cure.
     """
     paths = [paths] if isinstance(paths, Path) else list(paths)
     if not paths:

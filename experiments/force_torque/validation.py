@@ -50,14 +50,9 @@ def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
     """Return the ellipsoid that points draw while gravity turns, points = K g + centre.
 
     Gravity gives the place of each point on the ellipsoid, so that a part of it suffices; its semi-axes are
-    |g| times the singular values of K (in-situ paper, Lemma 1).
-
-    Args:
-        points: Forces in N, or counts along three directions, shape (n, 3).
-        gravity: g in the same frame's axes in m/s^2, shape (n, 3).
-
-    Raises:
-        ValueError: If fewer than four rows are finite, or gravity stays in a plane.
+    |g| times the singular values of K (in-situ paper, Lemma 1). Points are forces in N, or counts along three
+    directions, (n, 3), with g in the same frame's axes in m/s^2, (n, 3). ValueError if fewer than four rows
+    are finite, or gravity stays in a plane.
 
     >>> turned = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]]) * 9.81
     >>> force_ellipsoid(2.0 * turned + 5.0, turned).semi_axes
@@ -80,16 +75,9 @@ def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
 def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEstimate:
     """Return mass and place of the load added to a limb at rest (in-situ paper, Tables II and III).
 
-    Least squares of w - M(limb) g = M(m, c) g in m, and of its torques in m c; a limb in motion is brought to
-    rest by :func:`motion_wrench` first.
-
-    Args:
-        wrench: C (r - o) of one set in N and N m, shape (n, 6).
-        gravity: g in the sensor's frame in m/s^2, shape (n, 3).
-        limb: The limb without the added mass.
-
-    Raises:
-        ValueError: If fewer than four rows are finite, or gravity has one direction only.
+    Least squares of w - M(limb) g = M(m, c) g in m, and of its torques in m c, of w = C (r - o), (n, 6), and
+    g in the sensor's frame, (n, 3); a limb in motion is brought to rest by :func:`motion_wrench` first.
+    ValueError if fewer than four rows are finite, or gravity has one direction only.
     """
     wrench, gravity = _take_finite(wrench, gravity)
     force = wrench[:, :3] - limb.mass * gravity
@@ -108,22 +96,12 @@ def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEs
 def offset_of_set(
     raw: ArrayLike, gravity: ArrayLike, response: ArrayLike, noise: ArrayLike | None = None
 ) -> Floats:
-    """Return a sensor's offset from a set that took no part in its calibration.
+    """Return a sensor's offset in counts, (k,), from a set at rest that took no part in its calibration.
 
-    Least squares of r = A M(m, c) g + o in o, m and m c: A is known; the added mass and the limb
-    are not.
-
-    Args:
-        raw: Counts of one set at rest, shape (n, k).
-        gravity: g in the sensor's frame in m/s^2, shape (n, 3).
-        response: A in counts per N and N m, shape (k, 6).
-        noise: Covariance of a sample's noise in counts^2, shape (k, k); channels weigh alike by default.
-
-    Returns:
-        o in counts, shape (k,).
-
-    Raises:
-        ValueError: If fewer than four rows are finite.
+    Least squares of r = A M(m, c) g + o in o, m and m c: A in counts per N and N m, (k, 6), is known; the
+    added mass and the limb are not. Counts are (n, k), g in the sensor's frame (n, 3), and the covariance of
+    a sample's noise in counts^2 (k, k), by default that of channels that weigh alike. ValueError if fewer
+    than four rows are finite.
     """
     r, g = _take_finite(raw, gravity)
     A = np.asarray(response, dtype=np.float64)
@@ -138,9 +116,7 @@ def offset_of_set(
 def predict_wrench(data: InSituSet, limb: Limb) -> Floats:
     """Compute the wrench of limb and added mass in N and N m (in-situ paper, Eq. 4), shape (n, 6).
 
-    Args:
-        data: The set; the added mass counts as compact.
-        limb: The bare limb; where its inertia is unknown it counts as compact.
+    The added mass counts as compact, and the bare limb where its inertia is unknown.
     """
     body = limb.parameters
     if data.moves and limb.inertia is None:
@@ -172,19 +148,11 @@ def _take_finite(values: ArrayLike, gravity: ArrayLike) -> tuple[Floats, Floats]
 
 
 def cramer_rao(sets: Sequence[InSituSet], response: Floats, limb: Limb, noise: Floats) -> Floats:
-    """Return the bound on the covariance of (A row by row, m, m c, the offsets of the sets).
+    """Return the bound on the covariance of (A row by row, m, m c, the offsets of the J sets).
 
-    Args:
-        sets: Of which gravity and the added masses are used, which must be exact.
-        response: The true A in counts per N and N m, shape (k, 6).
-        limb: The true limb.
-        noise: Covariance of a sample's noise in counts^2, shape (k, k).
-
-    Returns:
-        In the square of the unknowns' units, shape (6 k + 4 + J k, 6 k + 4 + J k).
-
-    Raises:
-        ValueError: If the sets leave an unknown open.
+    In the square of the unknowns' units, (6 k + 4 + J k, 6 k + 4 + J k), by the true A in counts per N and N
+    m, (k, 6), the true limb, and the noise of a sample in counts^2, (k, k); gravity and added masses of the
+    sets must be exact. ValueError if the sets leave an unknown open.
     """
     k = len(response)
     first = 6 * k + STATIC
@@ -209,12 +177,9 @@ def cramer_rao(sets: Sequence[InSituSet], response: Floats, limb: Limb, noise: F
 
 
 def offset_bounds(bound: Floats, response: Floats, sets: int) -> Floats:
-    """Return the bound of each set's offset as a wrench, C P C', in N^2 and (N m)^2, shape (J, 6, 6).
+    """Return the bound of each of J sets' offset as a wrench, C P C', in N^2 and (N m)^2, shape (J, 6, 6).
 
-    Args:
-        bound: Of :func:`cramer_rao`.
-        response: The true A, shape (k, 6).
-        sets: Their number J.
+    ``bound`` is that of :func:`cramer_rao` by the true A, ``response``, (k, 6).
     """
     k = len(response)
     C = np.linalg.pinv(response)
@@ -226,14 +191,8 @@ def offset_bounds(bound: Floats, response: Floats, sets: int) -> Floats:
 def normalise_error(fit: InSituFit, response: Floats, offset: Floats, limb: Limb) -> float:
     """Return the squared error of (C, the last offset, limb) by the covariance of the fit (NEES).
 
-    Args:
-        fit: The calibration.
-        response: The true A in counts per N and N m, shape (k, 6).
-        offset: The true last offset in counts, shape (k,).
-        limb: The true limb.
-
-    Returns:
-        A draw of chi-square with ``len(fit.covariance)`` degrees of freedom, if the fit knows itself.
+    By the true A in counts per N and N m, (k, 6), the true last offset in counts, (k,), and the true limb: a
+    draw of chi-square with ``len(fit.covariance)`` degrees of freedom, if the fit knows itself.
     """
     error = np.concatenate(
         [

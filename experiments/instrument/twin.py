@@ -66,15 +66,11 @@ class Twin:
 
 
 def identify(recording: Recording, capacity: float | None = None) -> Twin:
-    """Find the load cells that a recording is of.
+    """Find the load cells that a recording is of; their capacity in N is the largest load unless it is given.
 
-    Args:
-        recording: Rest, and for the answer to loads known ones (``load_kg`` or ``load_N`` in each row).
-        capacity: Rated load in N; by default the largest that was seen.
-
-    Raises:
-        CalibrationRefused: If there are no times, no scale in newtons, or no rest.
-        LogError: If times do not increase, or the recording's own command cannot read it.
+    A recording has rest, and for the answer to loads known ones (``load_kg`` or ``load_N`` in each row).
+    CalibrationRefused if there are no times, no scale in newtons, or no rest; LogError if times do not
+    increase, or the recording's own command cannot read it.
     """
     heaviest = 0.0 if recording.load is None else float(np.nanmax(np.abs(recording.load)))
     _check(recording, capacity, heaviest)

@@ -100,8 +100,7 @@ def policy_file(task: str, sensors: str) -> Traversable:
 def shipped_policy(sensors: str = "true", task: str = "balance") -> PolicyNetwork:
     """Return the policy that comes with the package for a task, trained on one of :data:`SENSORS`.
 
-    Raises:
-        ValueError: If there is no such policy.
+    ValueError if there is no such policy.
     """
     if sensors not in SENSORS:
         available = ", ".join(map(repr, SENSORS))

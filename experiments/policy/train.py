@@ -106,9 +106,8 @@ class Trainer:
     def run(self, progress: Progress | None = None, *, board: bool = False) -> PolicyNetwork:
         """Train to the end, with checkpoints; return the policy, which lies in the folder as well.
 
-        Args:
-            progress: Is told of each update.
-            board: Whether the curve and PPO's own figures are written for TensorBoard, which must be there.
+        ``progress`` is told of each update; with ``board`` the curve and PPO's own figures are written for
+        TensorBoard, which must be there.
         """
         options = self.options
         if board:

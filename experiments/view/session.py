@@ -94,25 +94,16 @@ class Session:
     calibrated ones those of a method that learns from the same counts. A method learns from when it is first
     chosen, and goes on if another is chosen. The same seed and changes give the same session.
 
-    Args:
-        env_id: An environment on two feet.
-        seed: Of the environment, the sensors and the robot's beliefs.
-        start: The entries of :data:`START` that differ.
-        controller: Who controls, as :func:`~surefoot.experiments.policy.controllers.load_controller`; by
-            default the stabiliser where there is a pattern to follow, and otherwise zeros.
-        feet: Names of the feet's bodies, for a robot whose feet cannot be guessed.
-        soles: Whether feet without area get flat soles.
+    ``start`` are the entries of :data:`START` that differ; the controller is one of
+    :func:`~surefoot.experiments.policy.controllers.load_controller`, by default the stabiliser where there is
+    a pattern to follow, and otherwise zeros; ``feet`` are bodies of a robot whose feet cannot be guessed, and
+    with ``soles`` feet without area get flat ones.
 
-    Attributes:
-        changes: All changes since the power-up, choices before it included.
-        over: Whether the episode has ended; the next step needs a reset.
-        feeds: The possible feeds of a controller, among :data:`WAYS`.
-        settings: The present choice of :data:`START`.
-        walks: Whether the robot's walk can be planned afresh, at another speed.
-
-    Raises:
-        TypeError: If the environment is not built on MuJoCo.
-        ValueError: If it has no two feet with room for load cells, or a choice does not exist.
+    ``changes`` are all since the power-up, choices before it included; ``over`` says whether the episode has
+    ended, so that the next step needs a reset; ``feeds`` are the possible ones of :data:`WAYS`, ``settings``
+    the present choice of :data:`START`; ``walks`` says whether the walk can be planned afresh. TypeError if
+    the environment is not built on MuJoCo; ValueError if it has no two feet with room for load cells, or a
+    choice does not exist.
     """
 
     def __init__(

@@ -35,20 +35,12 @@ def node_parameters(
     R_torso_imu: ArrayLike = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     age: float = 0.0,
 ) -> dict[str, Any]:
-    """Return the parameters of the node for one robot, by their names.
+    """Return the parameters of the node for one robot, its map to start from and its beliefs, by their names.
 
-    Args:
-        setup: The robot, and the map that it starts from.
-        beliefs: What it believes of its motion.
-        joints: Angle in rad at which each hinge of the model is held, in the model's order; NaN for those
-            that ``joint_states`` holds.
-        soles: Names of the sole frames, one a foot.
-        R_torso_imu: Rotation from the IMU's axes to the torso's, shape (3, 3).
-        age: How long before they arrive counts were measured, in s.
-
-    Raises:
-        RuntimeError: If there is no library here.
-        ValueError: If the library is not made for such a robot.
+    ``joints`` are the angles in rad at which hinges of the model are held, in the model's order, NaN for
+    those that ``joint_states`` holds; ``soles`` the names of the sole frames, ``R_torso_imu`` the rotation
+    from the IMU's axes to the torso's, (3, 3), ``age`` how many s before they arrive counts were measured.
+    RuntimeError if there is no library here, ValueError if it is not made for such a robot.
     """
     library = require(CALIBRATION.installed())
     found = constants_of(library, "moment", setup, {})

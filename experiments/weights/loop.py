@@ -49,10 +49,8 @@ class Memory(NamedTuple):
 def memory_of(load: Floats, force: Floats, rounding: float) -> Memory | None:
     """Find hysteresis and drift of one cell; ``None`` unless loads were reached from below and from above.
 
-    Args:
-        load: In the order of weighing in N, shape (n,).
-        force: Readings as newtons, by the cell's own line or curve, shape (n,).
-        rounding: Standard deviation of a reading's rounding in N.
+    Loads in N, (n,), are in the order of weighing; readings, (n,), are newtons by the cell's own line or
+    curve, and their rounding has a standard deviation in N.
     """
     full, values = float(np.abs(load).max()), np.unique(load)
     free = len(load) - len(values) - 2
