@@ -34,14 +34,9 @@ from surefoot.sensors import LoadCells, sized
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import CalibrateFirst, FootSensors, SelfCalibration
 
-RANDOM = 20
-"""Random orders of motions that a plan is held against."""
-
-STAND = 1.0
-"""How long a NAO stands between its motion and its first step in s."""
-
-AFTER = 12.0
-"""How long errors count in s."""
+RANDOM = 20  # random orders of motions that a plan is held against
+STAND = 1.0  # how long a NAO stands between its motion and its first step in s
+AFTER = 12.0  # how long errors count in s
 
 
 class Run(NamedTuple):

@@ -61,8 +61,7 @@ from surefoot.sensors.devices.strain_gauges import shift_offset, true_response
 
 Floats = NDArray[np.float64]
 
-TWO_SIDED = 1.96
-"""Deviations to either side that hold 95 % of a normal distribution."""
+TWO_SIDED = 1.96  # deviations to either side that hold 95 % of a normal distribution
 
 
 def count_held(fit: InSituFit, response: Floats) -> float:
@@ -71,12 +70,8 @@ def count_held(fit: InSituFit, response: Floats) -> float:
     return float(np.mean(off < TWO_SIDED))
 
 
-FULL_SCALE = np.array([130.0, 130.0, 400.0, 10.0, 10.0, 10.0])
-"""Of an ATI Gamma SI-130-10 in N and N m."""
-
-NOISE = {"": 2.0**-12, ", noisy": 10.0 * 2.0**-12}
-"""White noise as a share of full scale."""
-
+FULL_SCALE = np.array([130.0, 130.0, 400.0, 10.0, 10.0, 10.0])  # of an ATI Gamma SI-130-10 in N and N m
+NOISE = {"": 2.0**-12, ", noisy": 10.0 * 2.0**-12}  # white noise as a share of full scale
 OFF = {"": (0.0, 0.01, 0.03, 0.1), ", noisy": (0.03, 0.1)}
 """How far the maker's matrix is off, as a share of full scale."""
 
@@ -90,9 +85,7 @@ LOADS = (
 
 TOOL = (1.2, np.array([0.01, 0.02, 0.06]))
 ROWS, SPACING = 600, 0.1
-GRAVITY_NOISE = 0.02
-"""In m/s^2."""
-
+GRAVITY_NOISE = 0.02  # in m/s^2
 COUNTED = ("one load", "two", "three", "four")
 
 
@@ -180,11 +173,8 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 """Hysteresis of a sensor, as options of the device."""
 
-BACKLASH = 0.01
-"""Half of its width over the largest amplitude of a load."""
-
-RASTER_RATE = 20.0
-"""Samples per s."""
+BACKLASH = 0.01  # half of its width over the largest amplitude of a load
+RASTER_RATE = 20.0  # samples per s
 
 
 def with_backlash(recordings: Sequence[RigRecording], sensor: str) -> list[RigRecording]:
@@ -240,8 +230,7 @@ def raster(seeds: Sequence[int], given: argparse.Namespace) -> list[Table]:
     return [Table("raster", "Error of the limb's weight", ("hysteresis", *columns), rows)]
 
 
-TRACKER_RATE, MEAN = 10.0, 30.0
-"""Samples per s, and the mean's length in s."""
+TRACKER_RATE, MEAN = 10.0, 30.0  # samples per s, and the mean's length in s
 
 
 def follow(sensor: str, seed: int, hysteresis: float, drifts: bool, jump: bool) -> tuple[Floats, float]:
@@ -302,8 +291,7 @@ def tracker(seeds: Sequence[int], given: argparse.Namespace) -> list[Table]:
     return [Table("tracker", "Error of the offset in N / N m, rms", heads, tuple(rows))]
 
 
-SPEED_RATE, SPEED_NOISE = 100.0, 0.01
-"""Samples per s, and the accelerometer's noise in m/s^2."""
+SPEED_RATE, SPEED_NOISE = 100.0, 0.01  # samples per s, and the accelerometer's noise in m/s^2
 
 
 def many_samples(times: int) -> tuple[InSituSet, ...]:

@@ -37,16 +37,13 @@ from surefoot.experiments.force_torque.validation import force_ellipsoid
 
 Floats = NDArray[np.float64]
 
-STANDARD_GRAVITY = 9.80665
-"""In m/s^2 per g."""
-
+STANDARD_GRAVITY = 9.80665  # in m/s^2 per g
 _TRUSTED = (0.001,) * 6
 """How far the Gamma's axes may be off, as shares: one load does not tell its scale, so the maker does."""
 
 AXES = ("Fx N", "Fy N", "Fz N", "Tx N m", "Ty N m", "Tz N m")
 
-WINDOW = 101
-"""Of the filter of order 3 in samples, 1 s: the foot swings in about two."""
+WINDOW = 101  # of the filter of order 3 in samples, 1 s: the foot swings in about two
 
 
 def sensor_recordings_folder() -> Path | None:

@@ -27,11 +27,8 @@ SEED = 2
 """An ordinary sensor: its maker's matrix shows the leg's weight as an ellipsoid whose longest axis is
 1.9 times the shortest, the median of :class:`~surefoot.sensors.StrainGauges`."""
 
-PAUSE = 60.0
-"""Time in s between two sets, in which masses are changed."""
-
-SPEED_DEG = 12.0
-"""Highest speed of the hip in deg/s, so that a minute covers its ranges."""
+PAUSE = 60.0  # time in s between two sets, in which masses are changed
+SPEED_DEG = 12.0  # highest speed of the hip in deg/s, so that a minute covers its ranges
 
 
 def make_sample(seed: int = SEED) -> tuple[dict[str, Floats], list[RigRecording], Floats]:

@@ -286,9 +286,7 @@ def mix_channels(log: Log) -> Floats:
     return np.asarray(other @ np.linalg.inv(log.truth.response))
 
 
-PUSH = [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2]
-"""8 N and 1.1 N m."""
-
+PUSH = [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2]  # 8 N and 1.1 N m
 ZERO = r"zero|step|leap|jump"
 TOUCH = r"touch|push"
 CLIP = r"clip|saturat|\bends at"

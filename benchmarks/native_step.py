@@ -37,9 +37,7 @@ from surefoot.robot.native import view_record
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 PARTS = "sensors", "telemetry", "beliefs", "filter", "view"
-CLOSE = 1e-9
-"""How far forces may be from those of the recording, of themselves and in N."""
-
+CLOSE = 1e-9  # how far forces may be from those of the recording, of themselves and in N
 PROGRAM = r"""
 #include <stdio.h>
 #include <stdlib.h>

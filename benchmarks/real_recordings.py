@@ -54,9 +54,7 @@ from surefoot.experiments.walks.scenarios import TRUE_MAP
 from surefoot.experiments.walks.score import hold_last
 from surefoot.files import write_text
 
-RATE = 80.0
-"""Samples per second that all recordings are brought to: the rate of the CoP paper's cells."""
-
+RATE = 80.0  # samples per second that all recordings are brought to: the rate of the CoP paper's cells
 SCALE_STD, OFFSET_SHARE = 0.1, 0.03
 """Standard deviations of what is put in: of scales, and of offsets in weights."""
 

@@ -36,8 +36,7 @@ class FootSensor:
     """
 
     channels: slice  # its channels within the foot
-    wrench_map: Floats
-    """Its own sole wrench per unit of each of its channels, shape (6, channels)."""
+    wrench_map: Floats  # its own sole wrench per unit of each of its channels, shape (6, channels)
     six_axis: bool  # whether its channels are the axes of one six-axis sensor, which may talk across
     share: Floats  # share of its wrench in the foot's, axis by axis, shape (6,)
     mass_below: float = 0.0  # mass beyond it in kg

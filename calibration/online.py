@@ -51,8 +51,7 @@ __all__ = [
 ]
 
 
-MethodOptions = Moment | Window | SwingTare
-"""Options of a method as a value, which names the method as well."""
+MethodOptions = Moment | Window | SwingTare  # options of a method as a value, which names the method as well
 
 
 class MethodEntry(NamedTuple):

@@ -32,8 +32,7 @@ LARGEST = 2.0**53
 _ANY = (-LARGEST, LARGEST)
 _NO_LIMITS: Limits = MappingProxyType({})
 _FLAGS: Limits = {"status": (0, ALL_FLAGS), "kind": (0, ALL_FLAGS)}
-_ROOM, _HEADER = 2**20, 256
-"""Bytes of a file besides the numbers: notes, and what an array says of itself."""
+_ROOM, _HEADER = 2**20, 256  # bytes of a file besides the numbers: notes, and what an array says of itself
 
 
 def save_state(path: AnyPath, state: Any, limits: Limits = _NO_LIMITS, /, **notes: str) -> None:

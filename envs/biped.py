@@ -87,8 +87,7 @@ class BipedEnv(DrawnEnv):
     shared: tuple[str, ...] = ("model", "data", "observer", "mean_truth", "observation_space", "_renderer")
     began: Callable[[], None] | None = None
 
-    _neutral: str
-    """What an action of zeros does, for messages."""
+    _neutral: str  # what an action of zeros does, for messages
 
     def __init__(
         self,

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from surefoot.envs.command import Command
 from surefoot.files import AnyPath, read_columns, write_text
 
-BLEND_TIME = 1.5
-"""Time in s in which the robot goes from an episode's first posture to a prelude's, and back."""
-
+BLEND_TIME = 1.5  # time in s in which the robot goes from an episode's first posture to a prelude's, and back
 SAME_POSTURE = 0.005
 """Difference in rad between two targets of a motor that is not worth a way from one to the other."""
 

@@ -21,11 +21,8 @@ from surefoot.arrays import Floats
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.setup import OnlineSetup
 
-SLOPE_SAMPLES = 3
-"""Samples over which a slope is taken: shorter ones are noisier, longer ones later."""
-
-_LONGEST = 4.0
-"""Samples by which a force is carried on at most: that it helps for longer has not been seen."""
+SLOPE_SAMPLES = 3  # samples over which a slope is taken: shorter ones are noisier, longer ones later
+_LONGEST = 4.0  # samples by which a force is carried on at most: that it helps for longer has not been seen
 
 
 def extrapolation_time(setup: OnlineSetup) -> Floats:

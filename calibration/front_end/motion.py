@@ -18,12 +18,8 @@ from surefoot.calibration.cop import level_rows
 from surefoot.calibration.reference import MomentumReference, Reference, reference_shapes
 from surefoot.calibration.setup import OnlineSetup
 
-LARGEST_REFERENCE = 1e6
-"""Magnitude, in any unit, beyond which a value of a reference is taken for an error."""
-
-LARGEST_WEIGHTS = 5.0
-"""Vertical force, in body weights, beyond which a reference is taken for an error."""
-
+LARGEST_REFERENCE = 1e6  # magnitude, in any unit, beyond which a value of a reference is taken for an error
+LARGEST_WEIGHTS = 5.0  # vertical force, in body weights, beyond which a reference is taken for an error
 LARGEST_REACH = 10.0
 """Distance of a reference's centre of pressure from a sole, in foot lengths, taken for an error."""
 

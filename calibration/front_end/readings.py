@@ -29,9 +29,7 @@ from surefoot.calibration.front_end.motion import LARGEST_REFERENCE, Motions
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
 
-LONGEST_GAP = 5.0
-"""Time between samples, in nominal ones, beyond which they no longer belong together."""
-
+LONGEST_GAP = 5.0  # time between samples, in nominal ones, beyond which they no longer belong together
 Repair = Callable[[Array, Array], tuple[Array, Array]]
 """Takes the newest forces and whether they were read, and hands back those to go on with."""
 

@@ -59,9 +59,7 @@ _LEAST_SPREAD = 1e-4
 _OUTLIER = 5.0  # deviations beyond which a sample counts as moved
 _CONVERGED = 1e-15  # relative change at which the last fit ends
 
-_FLAT = 0.05
-"""Least eigenvalue of a quadric of trace 3 at or below which it is no ellipsoid to start from."""
-
+_FLAT = 0.05  # least eigenvalue of a quadric of trace 3 at or below which it is no ellipsoid to start from
 _UNIT = (0.5, 2.0)  # between these the median size of the readings must lie, over gravity
 
 _CURE = "Rest the accelerometer on further sides, such as all six of a cube and some between them."

@@ -56,8 +56,7 @@ from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
 from surefoot.calibration.in_situ.solve import Solution, minima
 from surefoot.calibration.results import CalibrationRefused, Finding, FitResult, decide
 
-_DELAYS, _SETTLED = 6, 1e-4
-"""Fits at most until the delay of an IMU has settled, and its last step in s."""
+_DELAYS, _SETTLED = 6, 1e-4  # fits at most until the delay of an IMU has settled, and its last step in s
 
 
 def calibrate_in_situ(

@@ -28,9 +28,7 @@ from scipy.fft import dct, idct
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
-_WALK, _LAGS = 2.0, (1.0, 2.0, 3.0)
-"""Exponent of a random walk, and those of hysteresis that are tried ..."""
-
+_WALK, _LAGS = 2.0, (1.0, 2.0, 3.0)  # exponent of a random walk, and those of hysteresis that are tried
 _CORNERS, _KNEES, _ROUNDS = 40, 12, 3
 """... with so many corners and frequencies below which hysteresis grows no more, one part after the other."""
 

@@ -37,16 +37,12 @@ _SLIGHT = 0.05
 """Share of a channel's spread by which a sample must be off to be left out: 1 % of hysteresis leaves up to
 0.04 at the turns of a limb that takes postures, and is seen by these."""
 
-_ROUNDS = 12  # times that the weights are computed at most ...
+_ROUNDS = 12  # times that the weights are computed at most
 
-_SETTLED = 1e-3
-"""... until they change by less than this."""
-
+_SETTLED = 1e-3  # change of the weights below which they have settled
 _LOOKED = 10_000  # samples of a set, or up to twice as many, that say what most agree on
 
-_ROWS, _ROWS_MOVING = 1000, 200
-"""Windows to whose means a set is reduced, if its limb turns slowly enough ..."""
-
+_ROWS, _ROWS_MOVING = 1000, 200  # windows to whose means a set is reduced, if its limb turns slowly enough
 _WITHIN, _WITHIN_MOVING = 1e-3, 0.1
 """... so that this share of the signals' spread is lost within them. A gyroscope's noise grows with the
 frequency as it is differentiated, and noise makes signals look larger than they are: frequencies above

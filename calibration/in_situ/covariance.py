@@ -22,9 +22,7 @@ from surefoot.calibration.in_situ.problem import CREEPING, Law
 from surefoot.calibration.in_situ.solve import Solution
 from surefoot.calibration.results import Finding
 
-_BELIEVED = 4.0
-"""Free rows that must speak of the noise along a signal to count for as much as its spectrum."""
-
+_BELIEVED = 4.0  # free rows that must speak of the noise along a signal to count for as much as its spectrum
 _MOST_DOUBLINGS = 8
 """A swing is at least so many times half of the largest load of its kind: smaller loops are not followed."""
 

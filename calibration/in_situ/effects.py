@@ -52,9 +52,7 @@ from surefoot.calibration.in_situ.solve import (
 )
 from surefoot.calibration.results import Finding
 
-_HALF_WIDTHS = 2.0 ** -np.arange(1.0, 9.0)
-"""Half-widths of the plays, as shares of the largest amplitude."""
-
+_HALF_WIDTHS = 2.0 ** -np.arange(1.0, 9.0)  # half-widths of the plays, as shares of the largest amplitude
 _NARROW = _HALF_WIDTHS[-2]  # that from which the search for backlash begins
 
 _NEARLY = 0.9
@@ -164,12 +162,9 @@ class _Motion(NamedTuple):
     """Steps in which the loads of sets are followed, and the problems with lags behind these loads."""
 
     plain: Problem
-    signals: list[Matrix]
-    """Of each set, smoothed, (n_j, s)."""
-    strides: list[int]
-    """Samples in a step."""
-    steps: list[float]
-    """Time of a step in s."""
+    signals: list[Matrix]  # of each set, smoothed, (n_j, s)
+    strides: list[int]  # samples in a step
+    steps: list[float]  # time of a step in s
     behind: bool = False
     """Whether sets begin behind a load that came from nothing, rather than in the middle of a loop."""
 
@@ -322,8 +317,7 @@ def _out_of_phase(lags: Sequence[Matrix], wrenches: Sequence[Matrix]) -> list[Ma
     return [signal - signal.mean(axis=0) for signal in signals]
 
 
-_GAIN_STD = 0.005
-"""Expected size of the gains in 1/K; that of an axis that no load reaches stays at zero."""
+_GAIN_STD = 0.005  # expected size of the gains in 1/K; that of an axis that no load reaches stays at zero
 
 
 def centre_temperatures(

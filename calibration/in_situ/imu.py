@@ -74,9 +74,7 @@ _SWEPT, _FEWEST = 3.0, 5
 turning too little of the length is explained, and a bias takes the rest: with noise of 0.1 m/s^2 a sample
 0.09 m/s^2, three deviations, where 2 s of gravity as it was read are taken."""
 
-_PER_OCTAVE = 3
-"""Bands an octave in which a signal is told from noise. A limb's sweeps end within an octave."""
-
+_PER_OCTAVE = 3  # bands an octave in which a signal is told from noise. A limb's sweeps end within an octave.
 _STEP, _ALIKE = 0.3, 0.5
 """Time in s between two looks at gravity, and the correlation of its changes from which on it turns
 steadily, rather than from one posture at rest to the next."""
@@ -252,9 +250,7 @@ _ROD = 1.0 / 3.0
 """Inertia of the limb about its centre of mass over that of a point there about the sensor: its deviation is
 that of a rod that hangs from it. An added mass's is a compact body's: its shape and density are not known."""
 
-_ROUND = np.array([1.0 if i == j else 0.5 for i, j in PAIRS])
-"""Products of inertia are at most half as large."""
-
+_ROUND = np.array([1.0 if i == j else 0.5 for i, j in PAIRS])  # products of inertia are at most half as large
 _COLUMNS = 1 + 3 + 6 + 1
 
 

@@ -40,9 +40,7 @@ _ARMS = (0.007, 0.3)
 
 _UNLIKE = 3.0  # factor by which full scales of one kind may differ from their mean
 
-_BEYOND = 0.3
-"""Deviation of redundant channels' readings of a load from the maker's matrix, as a share."""
-
+_BEYOND = 0.3  # deviation of redundant channels' readings of a load from the maker's matrix, as a share
 COMMON = 0.05
 """Deviation of an error that all gains have in common, which is not learnt and does not move the fit: new
 sensors are off by 1 %, two real ones that had aged in robots by 11 and 19 %."""

@@ -27,21 +27,15 @@ from surefoot.calibration.in_situ.data import InSituSet, Matrix
 AXES = 6  # components of a wrench
 RELATIVE_ERRORS = AXES * AXES  # entries of D
 
-MASS, MOMENT, INERTIA = 0, slice(1, 4), slice(4, 10)
-"""Places of m, m c and I in the inertial parameters."""
-
-STATIC, MOVING = MOMENT.stop, INERTIA.stop
-"""Inertial parameters that show at rest, (m, m c), and in motion."""
-
+MASS, MOMENT, INERTIA = 0, slice(1, 4), slice(4, 10)  # places of m, m c and I in the inertial parameters
+STATIC, MOVING = MOMENT.stop, INERTIA.stop  # inertial parameters that show at rest, (m, m c), and in motion
 DIRECT, TURNING, PRODUCTS = slice(0, 3), slice(3, 6), slice(6, 12)
 """Places of f, the angular acceleration and the products of angular velocities in the signals."""
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Order of the products of angular velocities, and of the inertia's entries."""
 
-LEAST_LEVER = 0.1
-"""Lever in m by which first moments are judged at least: masses may all hang at one place."""
-
+LEAST_LEVER = 0.1  # lever in m by which first moments are judged at least: masses may all hang at one place
 ENOUGH_MASSES = 3  # different added masses that a matrix needs (in-situ paper, Lemma 2)
 SPREAD_ROUNDING = 1e-9  # share of a spread at or below which another is rounding
 _STEEL = 7850.0  # density of added masses in kg/m^3

@@ -175,11 +175,8 @@ CREEPING = np.geomspace(4.0, 128.0, 6)
 """Time constants of creep in s, an octave apart: faster ones look like a clock that is late, slower ones like
 a drift."""
 
-_FEW = 10.0
-"""Free samples a channel up to which their covariance is drawn to a diagonal one in earnest."""
-
-_NOISE_FLOOR = 1e-10
-"""Noise counts as at least this share of a channel's spread: a simulation may have none."""
+_FEW = 10.0  # free samples a channel up to which their covariance is drawn to a diagonal one in earnest
+_NOISE_FLOOR = 1e-10  # noise counts as at least this share of a channel's spread: a simulation may have none
 
 
 def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) -> Problem:

@@ -39,8 +39,7 @@ from surefoot.calibration.in_situ.problem import Problem
 from surefoot.calibration.in_situ.solve import Solution, solve
 from surefoot.calibration.results import CalibrationRefused, Finding, FitResult, FitStats
 
-_MAKER = 0.02
-"""Deviation of a factory matrix that is kept, as a share of full scale: sheets state 1 to 2 %."""
+_MAKER = 0.02  # deviation of a factory matrix that is kept, as a share of full scale: sheets state 1 to 2 %
 
 
 @dataclass(frozen=True, eq=False)

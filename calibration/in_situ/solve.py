@@ -34,9 +34,7 @@ from surefoot.calibration.in_situ.model import (
 )
 from surefoot.calibration.in_situ.problem import Problem
 
-_SEARCHES, _TURNED_SEARCHES = 3, 36
-"""Starts from which to search; the second where the rotation is unknown."""
-
+_SEARCHES, _TURNED_SEARCHES = 3, 36  # starts from which to search; the second where the rotation is unknown
 _AS_GOOD = 10.0  # minima that cost this much more than the lowest are none
 
 CONVERGED, _EVALUATIONS = 1e-8, 60
@@ -128,8 +126,7 @@ class _Outer(NamedTuple):
     limb: Vector
     vector: Vector
     rotation: Matrix
-    added: Matrix
-    """Parameters of the added masses, changed, shape (J, p)."""
+    added: Matrix  # parameters of the added masses, changed, shape (J, p)
 
     @classmethod
     def of(cls, problem: Problem, x: Vector) -> "_Outer":
@@ -226,12 +223,9 @@ class _Linear(NamedTuple):
 
     outer: _Outer
     X: Matrix
-    response: Matrix
-    """(W A)' of least squares."""
-    left: Matrix
-    """An orthonormal basis of the columns: of X, or with a maker of all rows."""
-    coupled: bool
-    """Whether the maker's rows couple the channels."""
+    response: Matrix  # (W A)' of least squares
+    left: Matrix  # an orthonormal basis of the columns: of X, or with a maker of all rows
+    coupled: bool  # whether the maker's rows couple the channels
 
     @classmethod
     def at(cls, problem: Problem, x: Vector) -> "_Linear":
@@ -312,8 +306,7 @@ def expand(problem: Problem, x: Vector, response: Matrix | None = None) -> Solut
     )
 
 
-_Make = Callable[[Solution], Problem]
-"""Makes a problem with signals that follow from the loads of a fit."""
+_Make = Callable[[Solution], Problem]  # makes a problem with signals that follow from the loads of a fit
 
 
 def follow(make: _Make, solution: Solution, rounds: int) -> Solution:

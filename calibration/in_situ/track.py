@@ -45,15 +45,12 @@ _MEMORY = 60.0
 
 _LONGEST_PAUSE = 3600.0  # time in s beyond which a pause adds no more drift
 
-_LIGHTEST, _HEAVIEST = 1.0, 100.0
-"""Size of g - a in m/s^2 below and above which it is not that of a limb."""
-
+_LIGHTEST, _HEAVIEST = 1.0, 100.0  # size of g - a in m/s^2 below and above which it is not that of a limb
 _NOISE_FLOOR = 1e-6
 """Noise counts as at least this share of a channel's reading of the limb's weight: a simulation may have
 none."""
 
-_FASTEST = 1e3
-"""Angular velocity in rad/s that no limb reaches; its square, an acceleration in rad/s^2."""
+_FASTEST = 1e3  # angular velocity in rad/s that no limb reaches; its square, an acceleration in rad/s^2
 
 
 class InSituEstimate(NamedTuple):

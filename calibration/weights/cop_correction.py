@@ -33,8 +33,7 @@ __all__ = ["CopCorrectionFit", "fit_cop_correction"]
 class CopCorrectionFit:
     """The correction of a foot's centre of pressure (CoP paper, Eqs. 3 to 5)."""
 
-    value: Floats
-    """(a0, ..., a5, b1, ..., bk) of each axis, shape (2, 6 + k): m, 1, 1, 1/m, 1/m, 1/m, m/N."""
+    value: Floats  # (a0, ..., a5, b1, ..., bk) of each axis, shape (2, 6 + k): m, 1, 1, 1/m, 1/m, 1/m, m/N
     covariance: Floats
     """Of each axis's coefficients from the scatter of the residuals, shape (2, 6 + k, 6 + k); zero along the
     directions that were left at zero."""

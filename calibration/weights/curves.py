@@ -25,9 +25,7 @@ __all__ = ["CurveFit", "Curves", "fit_curve"]
 LEAST = 0.002
 """Share of the range of loads up to which a line is good enough; cheap load cells are linear to 0.0005."""
 
-ODDS = 1e3
-"""Of a curve against a line, by the errors at loads that were left out, from which on it is taken."""
-
+ODDS = 1e3  # of a curve against a line, by the errors at loads that were left out, from which on it is taken
 KNOTS = 33  # of a power law
 EXPONENTS = (0.1, 10.0)  # of a power law; 1 is a line
 

@@ -51,9 +51,7 @@ LIFT: Final = 0.06  # how far a foot rises, as a share of the height of the cent
 ONE_LEG_FORWARD: Final = 0.35
 """Amplitude of a sway forward over one foot as a share of half its sole's length."""
 
-ONE_LEG_ASIDE: Final = 0.3
-"""Amplitude of a sway aside over one foot as a share of half its sole's width."""
-
+ONE_LEG_ASIDE: Final = 0.3  # amplitude of a sway aside over one foot as a share of half its sole's width
 SURELY_BEARS: Final = 0.1  # share of the weight above which a foot on the ground is in stance
 SURELY_UP: Final = 0.5  # share of the lift above which a foot is in swing
 

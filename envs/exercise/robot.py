@@ -31,8 +31,7 @@ class ExerciseRobot:
     soles: tuple[int, ...]  # numbers of the sites of both soles, the left one first
     legs: tuple[NDArray[np.intp], ...]  # numbers of each leg's hinge joints, from the hip down
     leg_motors: NDArray[np.intp]  # numbers of the L actuators that move them, in model order
-    centre: Floats
-    """Middles of the largest rectangles on the soles, in the sole frames in m, shape (2, 2)."""
+    centre: Floats  # middles of the largest rectangles on the soles, in the sole frames in m, shape (2, 2)
     half: Floats  # half their lengths and widths in m, the less of both feet, shape (2,)
 
     @property

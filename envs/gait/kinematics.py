@@ -18,12 +18,8 @@ from surefoot.arrays import Floats
 TOLERANCE = 2e-6  # largest error left in m and rad
 ITERATIONS = 30  # Newton steps before a posture counts as out of reach; a few suffice
 
-DAMPING = 1e-9
-"""Keeps a step finite where a leg is stretched; the costs of the tasks are 3 and more."""
-
-MEMO_GRID = 1e-6
-"""Postures whose feet and centre of mass agree to this, in m and rad, are solved once."""
-
+DAMPING = 1e-9  # keeps a step finite where a leg is stretched; the costs of the tasks are 3 and more
+MEMO_GRID = 1e-6  # postures whose feet and centre of mass agree to this, in m and rad, are solved once
 ARM_AND_HEAD_JOINTS = ("Head", "Shoulder", "Elbow", "Wrist")
 
 # Of the errors of both soles (position, orientation), the centre of mass and the torso's orientation.

@@ -31,11 +31,8 @@ GRAVITY = 9.81
 
 HORIZON = 2.0  # how far ahead the reference is known, in s
 
-ERROR_WEIGHT = 1.0
-""":math:`Q_e`, per m² of zero-moment point error."""
-
-INPUT_WEIGHT = 1e-6
-""":math:`R`, per (m/s³)² of jerk increment."""
+ERROR_WEIGHT = 1.0  # :math:`Q_e`, per m² of zero-moment point error
+INPUT_WEIGHT = 1e-6  # :math:`R`, per (m/s³)² of jerk increment
 
 
 class CartTable:

@@ -14,8 +14,7 @@ from surefoot.envs.instrumentation.geometry import below
 from surefoot.envs.instrumentation.robot import MeasuredRobot, joint_name
 from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names, nao_model
 
-Placed = tuple[str, Floats, Floats]
-"""A site's body, its place there in m and its quaternion."""
+Placed = tuple[str, Floats, Floats]  # a site's body, its place there in m and its quaternion
 
 _JOINTS = {
     mujoco.mjtJoint.mjJNT_HINGE: "hinge",
@@ -28,8 +27,7 @@ class BelowSensor(NamedTuple):
     """The mass below a sensor of each foot, (left, right), in the sole frames."""
 
     position_sensor_sole: Floats  # origins of the sensors' frames in m, shape (2, 3)
-    R_sole_sensor: Floats
-    """Rotations from the sensors' frames to the sole frames, shape (2, 3, 3)."""
+    R_sole_sensor: Floats  # rotations from the sensors' frames to the sole frames, shape (2, 3, 3)
     mass: Floats  # mass below in kg, shape (2,)
     com_sole: Floats  # its centre of mass in m, shape (2, 3)
 

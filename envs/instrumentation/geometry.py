@@ -28,9 +28,7 @@ FACE_SLOPE: Final = float(np.cos(np.radians(30.0)))
 NO_HEADING: Final = 0.9
 """Share of the vertical in an axis of the torso above which it says nothing of where the robot faces."""
 
-FACE_DEPTH: Final = 0.002
-"""Height in m above a sole's lowest point up to which a point still belongs to it."""
-
+FACE_DEPTH: Final = 0.002  # height in m above a sole's lowest point up to which a point still belongs to it
 NARROWEST: Final = 0.001  # least distance in m of a cell from the middle of its rectangle
 THINNEST: Final = 0.005  # spread in m below which the points of a foot lie on one line
 
@@ -47,8 +45,7 @@ class FootGeometry:
     """One foot, measured."""
 
     body: str  # its body's name
-    position_ankle_foot: Floats
-    """Where the ankle's joint sits in the body's frame in m, shape (3,)."""
+    position_ankle_foot: Floats  # where the ankle's joint sits in the body's frame in m, shape (3,)
     position_sole_foot: Floats  # origin of the sole's frame in the body's in m, shape (3,)
     R_foot_sole: Floats  # rotation from the sole's frame to the body's, shape (3, 3)
     polygon: Floats

@@ -27,11 +27,8 @@ from surefoot.envs.rendering import DrawnEnv, SceneRenderer
 CONTROL_STEP = 0.1  # duration of one environment step in s
 SUBSTEPS = 50  # simulation steps of 2 ms within one environment step
 
-ACCELERATION = float(np.radians(10.0))
-"""How fast the commanded speed of the hip changes at most, in rad/s^2."""
-
-PRIOR_INFORMATION = 1e-3
-"""Information on each direction of (g / 9.81, 1) before the first sample, in samples."""
+ACCELERATION = float(np.radians(10.0))  # how fast the commanded speed of the hip changes at most, in rad/s^2
+PRIOR_INFORMATION = 1e-3  # information on each direction of (g / 9.81, 1) before the first sample, in samples
 
 
 class LegRigEnv(DrawnEnv):

@@ -49,8 +49,7 @@ class RigRecording:
     angular_velocity: Floats  # of the IMU in rad/s, shape (n, 3)
     angular_acceleration: Floats  # of the IMU in rad/s^2, which no IMU measures, shape (n, 3)
     position_imu_foot: Floats  # of the IMU in the foot sensor's frame in m, shape (3,)
-    position_imu_leg: Floats
-    """Of the IMU in the leg sensor's frame in m, with a straight knee, shape (3,)."""
+    position_imu_leg: Floats  # of the IMU in the leg sensor's frame in m, with a straight knee, shape (3,)
     added_mass: float  # in kg
     added_com_foot: Floats  # its centre of mass in the foot sensor's frame in m, shape (3,)
     added_com_leg: Floats  # the same in the leg sensor's frame, with a straight knee

@@ -36,15 +36,9 @@ from surefoot.envs.robots.nao import (
 CONTROL_STEP = 1.0 / 80.0  # duration of one environment step in s
 SUBSTEPS = 10  # simulation steps of 1.25 ms within one environment step
 
-FALLEN_HEIGHT = 0.22
-"""Height of the torso's origin in m below which the robot has fallen (standing: 0.32)."""
-
-FALLEN_TILT = 0.8
-"""Angle between the torso and the vertical in rad above which the robot has fallen."""
-
-SINK = 0.00016
-"""How far the ground gives way under the standing robot, in m, at the time constant of nao.xml."""
-
+FALLEN_HEIGHT = 0.22  # height of the torso's origin in m below which the robot has fallen (standing: 0.32)
+FALLEN_TILT = 0.8  # angle between the torso and the vertical in rad above which the robot has fallen
+SINK = 0.00016  # how far the ground gives way under the standing robot, in m, at the time constant of nao.xml
 SINK_EXPONENT = 1.3
 """Power of the time constant with which it gives way: 2 for a linear spring, less as MuJoCo's stiffens."""
 

@@ -42,8 +42,7 @@ class AddedMassEstimate(NamedTuple):
     """Mass added to a limb, and its place."""
 
     mass: float  # in kg; may come out negative where nothing hangs
-    position: Floats
-    """Of its centre of mass in the sensor's frame in m, shape (3,); NaN without mass."""
+    position: Floats  # of its centre of mass in the sensor's frame in m, shape (3,); NaN without mass
 
 
 def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:

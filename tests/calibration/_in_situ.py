@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import InSituSet, estimate_offset
 
-NOISE = np.array([0.1, 0.1, 0.1, 0.0025, 0.0025, 0.0025])
-"""White noise in N and N m."""
+NOISE = np.array([0.1, 0.1, 0.1, 0.0025, 0.0025, 0.0025])  # white noise in N and N m
 
 # Factory matrices of two FTSens sensors, N and N m per count.
 LEG_MATRIX = np.array(
@@ -48,8 +47,7 @@ SENSORS = {
     "leg": (LEG_MATRIX, 4.9, np.array([0.01, -0.02, 0.22]), ADDED_COM_LEG),
     "foot": (FOOT_MATRIX, 0.6, np.array([0.03, 0.004, 0.04]), ADDED_COM_FOOT),
 }
-OFFSET_WRENCH = np.array([200.0, -150.0, 145.0, 3.0, -4.0, 2.0])
-"""An offset of 289 N and 5.4 N m."""
+OFFSET_WRENCH = np.array([200.0, -150.0, 145.0, 3.0, -4.0, 2.0])  # an offset of 289 N and 5.4 N m
 
 
 def random_gravity(rng, n, size=9.81):

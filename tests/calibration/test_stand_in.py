@@ -10,8 +10,7 @@ MASS = 5.3
 CORNERS = [(0.1, 0.05), (0.1, -0.05), (-0.06, 0.05), (-0.06, -0.05)]
 CELLS = FeetLayout(tuple(FootLayout.load_cells(name, CORNERS) for name in ("left", "right")))
 SENSOR = FootLayout.force_torque("left", position_sensor_sole=(0.01, 0.0, 0.06))
-FLOOR = 1e-5
-"""Variance in body weights squared that the table is never taken to be more sure than."""
+FLOOR = 1e-5  # variance in body weights squared that the table is never taken to be more sure than
 
 
 def stand_in(layout=CELLS, memory=50.0):

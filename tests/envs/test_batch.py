@@ -14,8 +14,7 @@ from surefoot.envs.nao.stand import NaoStandEnv
 from surefoot.wrappers import TruthRow, VectorFootSensors, VectorSelfCalibration
 
 ROBOTS = 3
-STEPS = {"NaoBalance": 120}
-"""Control steps, more than an episode; 200 of other tasks."""
+STEPS = {"NaoBalance": 120}  # control steps, more than an episode; 200 of other tasks
 
 TASKS: dict[str, dict[str, Any]] = {
     "Exercise": {"robot": "nao", "duration": 2.0, "action_scale": 0.3},

@@ -117,5 +117,4 @@ def describe(path: Path, walk: Any, **changes: Any) -> None:
     redescribe(path, lag_samples=None, motion=motion | changes)
 
 
-one_format = pytest.mark.parametrize("ros", ["mcap"], indirect=True)
-"""For what does not depend on the format."""
+one_format = pytest.mark.parametrize("ros", ["mcap"], indirect=True)  # for what does not depend on the format

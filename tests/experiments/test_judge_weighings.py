@@ -22,8 +22,7 @@ from surefoot.sensors.stages.mechanics import SMALLEST_LOOP
 
 SHAPES = ("one cell", "four cells", "single readings", "four loads")
 MISTAKES = ("rail", "off", "labels", "dead", "grams", "curve", "newtons")
-LOOP = np.repeat((0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 3.0, 2.0, 1.0, 0.5, 0.0), 3)
-"""Weights in kg, up and down."""
+LOOP = np.repeat((0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 3.0, 2.0, 1.0, 0.5, 0.0), 3)  # weights in kg, up and down
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

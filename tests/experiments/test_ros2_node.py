@@ -24,9 +24,7 @@ FROZEN, TARED, HUNG, TOLD, END = 400, 420, 480, 520, 640
 """Samples at which it is frozen and goes on, a tare is asked for in the middle of a walk, a robot is lifted,
 its feet are said to hang, and all ends."""
 
-STEP = 2.0
-"""By how many newtons all zeros leap as the robot is lifted."""
-
+STEP = 2.0  # by how many newtons all zeros leap as the robot is lifted
 pytestmark = [pytest.mark.slow, needs_cpp]
 
 
