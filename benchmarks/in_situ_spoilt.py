@@ -366,8 +366,7 @@ SPOILTS: dict[str, Spoilt] = {
         r"mass of 'set 3'", {f"{100 * s - 100:+.0f} %": scale_masses(s, 1.0, (2,)) for s in (0.8, 1.1, 1.2)}
     ),
     "one place": Spoilt(
-        r"mass of 'set 4'",
-        {"4 cm": move([0.0, 0.04, 0.0], 3), "10 cm": move([0.06, 0.0, -0.08], 3)},
+        r"mass of 'set 4'", {"4 cm": move([0.0, 0.04, 0.0], 3), "10 cm": move([0.06, 0.0, -0.08], 3)}
     ),
     "two sets swapped": Spoilt(r"swap|exchang", {"2, 3": swap(1, 2), "1, 4": swap(0, 3)}),
     "all places negated": Spoilt(PLACES, {"": scale_masses(1.0, -1.0)}, (True,)),
@@ -406,12 +405,10 @@ SPOILTS: dict[str, Spoilt] = {
         r"copy", {"": lambda log: each(lambda _: replace(log.sets[1], name="set 3"), (2,))(log)}
     ),
     "readings held": Spoilt(
-        r"repeat",
-        {f"{n / RATE} s": readings(lambda raw, *_, n=n: hold(raw, n)) for n in (2, 20)},
+        r"repeat", {f"{n / RATE} s": readings(lambda raw, *_, n=n: hold(raw, n)) for n in (2, 20)}
     ),
     "spikes": Spoilt(
-        r"stand alone",
-        {f"{n}": readings(lambda raw, *_, n=n: spikes(raw, n, 5e3)) for n in (6, 30)},
+        r"stand alone", {f"{n}": readings(lambda raw, *_, n=n: spikes(raw, n, 5e3)) for n in (6, 30)}
     ),
     "readings late": Spoilt(LATE, {f"{delay} s": late_readings(delay) for delay in (0.3, 3.0)}),
     "IMU late": Spoilt(LATE, {"1.5 s": lambda log: late(1.5)(log, 0)}),
@@ -438,16 +435,12 @@ SPOILTS: dict[str, Spoilt] = {
         {f"{s}": each(lambda d, s=s: replace(d, raw=s * d.raw), (2,)) for s in (1.1, 0.5)},  # type: ignore[misc]
     ),
     "gain of a channel": Spoilt(
-        r"channel",
-        {"+8 %": readings(lambda raw, *_: column(raw, 3, 1.08 * raw[:, 3]), 2)},
+        r"channel", {"+8 %": readings(lambda raw, *_: column(raw, 3, 1.08 * raw[:, 3]), 2)}
     ),
     "another sensor": Spoilt(
         r"sensor", {"set 4": readings(lambda raw, _, log, __: raw @ mix_channels(log).T, 3)}
     ),
-    "scale grows": Spoilt(
-        r"scale changes",
-        {"6 %": readings(lambda raw, _, __, j: (1.0 + 0.02 * j) * raw)},
-    ),
+    "scale grows": Spoilt(r"scale changes", {"6 %": readings(lambda raw, _, __, j: (1.0 + 0.02 * j) * raw)}),
     "axis of all places": Spoilt(
         r"places",
         {

@@ -16,12 +16,7 @@ from surefoot.calibration.foot_calibrator import FootCalibrator
 from surefoot.calibration.foot_excitation import FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.calibration.front_end.filters import zero_phase
 from surefoot.calibration.imu import calibrate_accelerometer, gravity_from_imu
-from surefoot.calibration.in_situ import (
-    InSituSet,
-    InSituTracker,
-    KnownLimb,
-    calibrate_in_situ,
-)
+from surefoot.calibration.in_situ import InSituSet, InSituTracker, KnownLimb, calibrate_in_situ
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.online import METHODS, online_method, register_method

@@ -91,11 +91,7 @@ def coefficients(cutoff: float, dt: float) -> tuple[Floats, Floats]:
     _check(cutoff, dt)
     b, a = _butterworth(cutoff, dt)
     transition = np.array(
-        [
-            [b[0], 1.0, 0.0],
-            [b[1] - a[1] * b[0], -a[1], 1.0],
-            [b[2] - a[2] * b[0], -a[2], 0.0],
-        ]
+        [[b[0], 1.0, 0.0], [b[1] - a[1] * b[0], -a[1], 1.0], [b[2] - a[2] * b[0], -a[2], 0.0]]
     )
     steady = np.array([[1.0 - b[0]], [b[2] - a[2]]])
     return transition, steady

@@ -42,13 +42,7 @@ from surefoot.calibration.in_situ.model import (
     signals,
 )
 from surefoot.calibration.in_situ.problem import Problem, starts
-from surefoot.calibration.in_situ.solve import (
-    Solution,
-    beside_channels,
-    deviance,
-    minima,
-    solve,
-)
+from surefoot.calibration.in_situ.solve import Solution, beside_channels, deviance, minima, solve
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import Finding
 
@@ -606,12 +600,4 @@ def _axes_in_words(axes: Matrix) -> str:
     return f"axes of all places or of the IMU are others, or the IMU is turned: x, y, z as given are {given}"
 
 
-_KINDS = (
-    _try_events,
-    _try_bending,
-    _try_reading,
-    _try_frame,
-    _try_exchange,
-    _try_masses,
-    _try_sensor,
-)
+_KINDS = (_try_events, _try_bending, _try_reading, _try_frame, _try_exchange, _try_masses, _try_sensor)

@@ -70,9 +70,7 @@ STRAINED = Limit(
 MASS = Limit(0.05, "share of the largest added mass, or its lever", "sound 0.0095; a mass off by 10 % 0.078")
 MASS_SEEN = Limit(0.012, "the same", "a word: sound 0.0095; a cable's pull of 8 % of the limb's weight 0.019")
 MOVED = Limit(
-    0.03,
-    "share of contact loads",
-    "by a slight contradiction's cause: an IMU turned by 3 degrees 0.054",
+    0.03, "share of contact loads", "by a slight contradiction's cause: an IMU turned by 3 degrees 0.054"
 )
 SLOW = Limit(0.15, "share of gravity's spread that a drift leaves", "the answer is seven times less sure")
 STILL = Limit(0.02, "share of gravity", "a direction along which it did not turn, as at the door")

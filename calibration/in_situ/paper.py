@@ -90,10 +90,7 @@ class OffsetFit:
 
 
 def estimate_offset(
-    raw: ArrayLike,
-    gravity: ArrayLike,
-    *,
-    minimum_spread: float = MINIMUM_SPREAD,
+    raw: ArrayLike, gravity: ArrayLike, *, minimum_spread: float = MINIMUM_SPREAD
 ) -> OffsetFit:
     """Return a sensor's offset from readings at rest in many orientations (in-situ paper, Eqs. 9-17).
 

@@ -8,10 +8,4 @@ from surefoot.calibration.native.config import c_source, constants_of
 from surefoot.calibration.native.filter import NativeFilter, native_filter
 from surefoot.calibration.native.reference import ReferenceRecord
 
-__all__ = [
-    "NativeFilter",
-    "ReferenceRecord",
-    "c_source",
-    "constants_of",
-    "native_filter",
-]
+__all__ = ["NativeFilter", "ReferenceRecord", "c_source", "constants_of", "native_filter"]

@@ -140,13 +140,7 @@ class Window:
             "outlier_threshold", "gross_error", "minimum_share", "standing_scale_std", "standing_offset_std",
             "standing_patience",
         )  # fmt: skip
-        check_not_negative(
-            self,
-            "transition",
-            "settle",
-            "standing_warm_up",
-            "standing_duration",
-        )
+        check_not_negative(self, "transition", "settle", "standing_warm_up", "standing_duration")
         check_count(self, "every", "iterations", "standing_samples")
         if self.cutoff is not None:
             check_positive(self, "cutoff")

@@ -167,9 +167,7 @@ class SlidingWindow:
         sure = sample.stance | sample.swing
         newest = [sample.past, sample.motion, sample.stance, sure, [sample.good, settled]]
         state = state._replace(
-            front=front,
-            step=state.step + 1,
-            pending=np.vstack([state.pending[1:], np.concatenate(newest)]),
+            front=front, step=state.step + 1, pending=np.vstack([state.pending[1:], np.concatenate(newest)])
         )
         if state.step % self.config.every == 0:
             for waiting in state.pending:

@@ -89,10 +89,7 @@ def plan_legs(legs: Sequence[Leg], timing: GaitTiming) -> tuple[tuple[Walk, ...]
 
 
 def _walk(
-    numbers: Sequence[int],
-    run: Sequence[Leg],
-    timing: GaitTiming,
-    where: tuple[float, float, float],
+    numbers: Sequence[int], run: Sequence[Leg], timing: GaitTiming, where: tuple[float, float, float]
 ) -> tuple[tuple[Footstep, ...], tuple[float, float, float]]:
     """Footsteps of legs that flow into each other, and where they lead."""
     ends = np.cumsum([leg.duration for leg in run]) * CONTROL_RATE

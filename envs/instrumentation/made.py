@@ -17,12 +17,7 @@ from surefoot.envs.instrumentation.meshes import box_meshes
 from surefoot.envs.instrumentation.robot import joint_name
 from surefoot.envs.instrumentation.soles import put_soles
 from surefoot.envs.instrumentation.spec import Instrumentation, instrument_as
-from surefoot.envs.instrumentation.swap import (
-    carry_over,
-    differing_array,
-    find_difference,
-    fingerprint,
-)
+from surefoot.envs.instrumentation.swap import carry_over, differing_array, find_difference, fingerprint
 
 Value = TypeVar("Value")
 

@@ -55,11 +55,7 @@ class EpisodeResults:
 
 
 def run_plan(
-    plan: EpisodePlan,
-    folder: Path | None = None,
-    *,
-    jobs: int = 1,
-    any_version: bool = False,
+    plan: EpisodePlan, folder: Path | None = None, *, jobs: int = 1, any_version: bool = False
 ) -> EpisodeResults:
     """Run every episode of a plan that has no row yet, seed by seed, keep them in a folder, or nowhere.
 

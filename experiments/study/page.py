@@ -97,11 +97,7 @@ def write_page(
         made = f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by {machine()}."
     template = files("surefoot.experiments.study").joinpath("page.html").read_text(encoding="utf-8")
     page = environment.from_string(template).render(
-        title=title,
-        made=made,
-        introduction=introduction,
-        sections=tuple(sections),
-        lead=lead,
+        title=title, made=made, introduction=introduction, sections=tuple(sections), lead=lead
     )
     write_text(path, page)
     return path

@@ -29,13 +29,7 @@ class Page(Served):
     Recordings go into the folder, ``None`` for none. ``frames`` says how many were drawn.
     """
 
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        session: Session,
-        *,
-        folder: Path | None = None,
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, session: Session, *, folder: Path | None = None) -> None:
         self.session, self._folder = session, folder
         size = float(session.source.data.body(session.drawing.torso).xpos[2]) / TORSO
         weight = session.drawing.weight

@@ -6,16 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from _in_situ import (
-    NOISE,
-    SENSORS,
-    errors,
-    make_set,
-    moving_sets,
-    noisy_sets,
-    paper_sets,
-    swept_gravity,
-)
+from _in_situ import NOISE, SENSORS, errors, make_set, moving_sets, noisy_sets, paper_sets, swept_gravity
 from _in_situ_stacked import wrench_of_gravity
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2

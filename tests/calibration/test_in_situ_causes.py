@@ -112,11 +112,7 @@ def gain_of_channel(raw, _, j):
 
 
 CAUSES = {
-    "a step": (
-        leap,
-        "the zero of 'data set 2' leaps at 35.0 s",
-        "Cut the set there into two",
-    ),
+    "a step": (leap, "the zero of 'data set 2' leaps at 35.0 s", "Cut the set there into two"),
     "a push": (
         read_more(3, [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2], 300, 420),
         "something touched the limb in 'data set 4' from 30.0 s to 41.9 s",
