@@ -97,8 +97,7 @@ def register_method(
     A method is an :class:`OnlineMethod` of pure functions. Its state is a
     :class:`~surefoot.calibration.front_end.readings.FrontState`, or a ``NamedTuple`` of arrays that holds one
     as ``front``: the :class:`~surefoot.calibration.front_end.readings.FrontEnd` checks readings, waits for
-    the reference and makes estimates. If the class has a tuple ``LEARNT``, it names the fields that outlive
-    an episode.
+    the reference and makes estimates.
 
     Args:
         name: A new name.

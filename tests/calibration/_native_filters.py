@@ -33,7 +33,6 @@ class Log:
         self.reference = Reference(*(part.copy() for part in own.reference))
         self.times = np.full(SAMPLES, DT)
         self.retracted = set()
-        self.begun = set()
 
     def row(self, k):
         return Reference(*(part[k] for part in self.reference))

@@ -42,7 +42,7 @@ class Log:
         self.times = np.full(SAMPLES, DT)
         self.times[AT + 90] = 0.08
         self._reference = reference if momentum else accelerations(reference)
-        self.retracted, self.begun = {AT + 120}, set()
+        self.retracted = {AT + 120}
 
     def row(self, k):
         return type(self._reference)(*(part[k] for part in self._reference))

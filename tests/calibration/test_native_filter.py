@@ -14,7 +14,6 @@ from _native_filters import AT, SAMPLES, Log, same, same_estimate
 from _synthetic import DT, LAYOUT, MASS
 
 from surefoot.calibration import FeetLayout, FootLayout, OnlineSetup, Parameters
-from surefoot.calibration.episodes import begin_episode
 from surefoot.calibration.native import c_source, native_filter
 from surefoot.calibration.online import online_method
 from surefoot.native import CALIBRATION, FOLDER, compiler, leaves_of
@@ -136,10 +135,6 @@ def retracted(log):
     log.retracted = {3, 500, AT + 80, AT + 82}
 
 
-def begins(log):
-    log.begun = {2, 400, AT + 1}
-
-
 def stands_for_long(log):
     for part in (log.force, *log.reference):
         part[200:1600] = part[200]
@@ -225,11 +220,8 @@ def play(stream, native, log, exchange=(), **tolerance):
         if k in log.retracted:
             expected = stream.retract(expected)
             native.retract(found)
-        if k in log.begun:
-            expected = begin_episode(stream.init(log.force[0]), expected)
-            native._functions.surefoot_begin(native.parts["filter"].address, found.address)
         same_estimate(one, two, **tolerance)
-        if k % 48 == 47 or k in exchange | log.retracted | log.begun:
+        if k % 48 == 47 or k in exchange | log.retracted:
             same_state(stream, native, expected, found, **tolerance)
         if k in exchange:
             other = found.python()
@@ -242,7 +234,7 @@ OTHERS = [
         ("window", "cells", lag, event, {})
         for lag, event in ((2, clean), (0, gaps), (2, missing_and_impossible))
     ],
-    *[("window", "cells", 2, event, {}) for event in (bad_references, lies, retracted, lifted, begins)],
+    *[("window", "cells", 2, event, {}) for event in (bad_references, lies, retracted, lifted)],
     *[("window", "ankles", lag, event, {}) for lag, event in ((2, clean), (0, lies), (1, stands_for_long))],
     *[("window", "both", 0, event, {}) for event in (clean, bad_references)],
     *[("window", f"heavy {kind}", 2, clean, {}) for kind in ("cells", "ankles", "both")],
@@ -255,11 +247,11 @@ OTHERS = [
         ("tare", "cells", lag, event, {})
         for lag, event in ((2, clean), (0, gaps), (2, missing_and_impossible))
     ],
-    *[("tare", "cells", 2, event, {}) for event in (bad_references, lies, begins)],
+    *[("tare", "cells", 2, event, {}) for event in (bad_references, lies)],
     *[("tare", layout, 2, clean, {}) for layout in ("ankles", "both", "heavy both")],
     ("tare", "ankles", 1, dropped_for_a_while, {"settle": 0.0, "spread": 0.2, "offset_range": 1.0}),
     *[("none", layout, 2, missing_and_impossible, {}) for layout in ("cells", "both")],
-    *[("none", "ankles", 0, event, {}) for event in (gaps, bad_references, begins)],
+    *[("none", "ankles", 0, event, {}) for event in (gaps, bad_references)],
     *[(method, "cells", 2, lies, {"age": 0.006}) for method in ("window", "tare", "none")],
     ("window", "both", 0, gaps, {"age": np.repeat([0.005, 0.0, 0.02, 0.0], [4, 6, 4, 6])}),
 ]

@@ -34,7 +34,7 @@ class MomentumLog:
         own = move(seed, SAMPLES * DT, Errors.stated(), walking=walking, lifted=lifted)
         self.force, self.times = NOMINAL.force(own.raw), np.full(SAMPLES, DT)
         self.reference = MomentumReference(*(part.copy() for part in own.reference))
-        self.retracted, self.begun = set(), set()
+        self.retracted = set()
 
     def row(self, k):
         return MomentumReference(*(part[k] for part in self.reference))
