@@ -25,11 +25,10 @@ from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.calibration.replay import replay
 from surefoot.calibration.results import CalibrationRefused, FitResult
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
-from surefoot.calibration.standing import QuietStanding
+from surefoot.calibration.standing import QuietStanding, standing_start
 from surefoot.calibration.weights.channels import fit_channels
 from surefoot.calibration.weights.cop_correction import fit_cop_correction
 from surefoot.calibration.weights.curves import Curves
-from surefoot.calibration.weights.standing_start import standing_start
 from surefoot.calibration.window.config import Window
 
 __all__ = [

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike
 
 from surefoot.calibration.checks import check_value
 
-__all__ = ["AGAIN", "ENOUGH", "Certainty"]
-
 ENOUGH = 1.0e-3  # standard deviation of the centre of pressure in m at which a robot is certain
 AGAIN = 1.5  # by what that may rise, as a factor, before the robot asks to be calibrated again
 

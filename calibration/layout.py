@@ -20,8 +20,6 @@ from surefoot.arrays import Floats
 from surefoot.calibration.arrays import skew
 from surefoot.calibration.checks import check_shape
 
-__all__ = ["FeetLayout", "FootLayout", "FootSensor"]
-
 LOAD_CELL_NAMES = ("front-left", "front-right", "rear-left", "rear-right")
 FORCE_TORQUE_NAMES = ("fx", "fy", "fz", "tx", "ty", "tz")
 

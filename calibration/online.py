@@ -37,20 +37,6 @@ from surefoot.calibration.window.config import Window
 from surefoot.calibration.window.stream import quasi_static, window
 from surefoot.names import check_new_name, plain_name
 
-__all__ = [
-    "METHODS",
-    "MethodEntry",
-    "MethodOptions",
-    "OnlineMethod",
-    "OnlineSetup",
-    "method_entry",
-    "method_name",
-    "online_method",
-    "register_method",
-    "resolve_method",
-]
-
-
 MethodOptions = Moment | Window | SwingTare  # options of a method as a value, which names the method as well
 
 

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-__all__ = ["CalibrationRefused", "Decision", "Finding", "FitResult", "FitStats", "decide"]
-
 
 class FitResult(StrEnum):
     """How much of the value the data determined."""

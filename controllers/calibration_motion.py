@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.calibration.certainty import ENOUGH, Certainty
 from surefoot.files import AnyPath, read_columns
 
-__all__ = ["CalibrationMotion"]
-
 
 class CalibrationMotion:
     """Plays a file of ``surefoot calibrate motion``, a row a call, and stops at a rest when certain.

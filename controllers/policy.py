@@ -26,8 +26,6 @@ from surefoot.controllers.posture import PostureDrive
 from surefoot.controllers.stabiliser import check_parts
 from surefoot.files import AnyPath, atomic_path, names_in_archive, parse_json, read_arrays
 
-__all__ = ["FORMAT", "PolicyFileError", "PolicyNetwork"]
-
 FORMAT = "surefoot-policy-1"  # what a policy file calls itself
 LARGEST_UNPACKED = 2**23  # size in bytes beyond which what a file unpacks to is no policy
 

@@ -5,8 +5,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.controllers.stabiliser import ACTION_SIZE, ANKLE_PITCH, ANKLE_ROLL, HIP_PITCH, HIP_ROLL
 
-__all__ = ["POSTURES", "PostureDrive", "posture_matrix"]
-
 POSTURES = ("sway forward", "sway left", "bow forward", "bow left")
 """Ankles and hips against each other, which keeps the torso upright; and the hips alone, which tilts it."""
 

@@ -34,8 +34,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ACTION_SIZE", "ANKLE_PITCH", "ANKLE_ROLL", "HIP_PITCH", "HIP_ROLL", "Stabiliser", "zero_action"]
-
 ACTION_SIZE = 11  # number of leg motors of a NAO-class biped
 
 HIP_ROLL, HIP_PITCH, ANKLE_PITCH, ANKLE_ROLL = [1, 6], [2, 7], [4, 9], [5, 10]

@@ -32,8 +32,6 @@ from surefoot.calibration.checks import check_value
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["AccelerometerFit", "AccelerometerModel", "calibrate_accelerometer"]
-
 AccelerometerModel = Literal["bias", "bias-scale", "full"]
 """``bias``: K is the identity; ``bias-scale``: it is diagonal; ``full``: it is upper triangular."""
 

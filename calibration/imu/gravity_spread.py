@@ -5,8 +5,6 @@ import numpy as np
 from surefoot.arrays import Floats
 from surefoot.calibration.results import CalibrationRefused
 
-__all__ = ["MINIMUM_SPREAD", "check_gravity_spread", "gravity_spread"]
-
 MINIMUM_SPREAD = 0.01
 """Standard deviation of gravity along its least seen direction over gravity's size, dimensionless.
 

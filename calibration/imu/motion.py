@@ -20,8 +20,6 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Floats
 from surefoot.calibration.imu.static import savitzky_golay
 
-__all__ = ["ImuMotion", "gravity_from_imu"]
-
 
 class ImuMotion(NamedTuple):
     """A limb's motion in the sensor's frame at the sensor's origin.

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Floats
 from surefoot.calibration.checks import check_value
 
-__all__ = ["savitzky_golay"]
-
 
 def savitzky_golay(
     signal: ArrayLike, window: int = 301, order: int = 3, *, derivative: int = 0, dt: float = 1.0

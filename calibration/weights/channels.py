@@ -19,8 +19,6 @@ from surefoot.arrays import Floats
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["ChannelFit", "fit_channels"]
-
 _SAME = 1e-9  # loads or codes whose relative difference is at or below this count as the same
 
 

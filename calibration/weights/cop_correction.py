@@ -26,8 +26,6 @@ from surefoot.calibration.arrays import Array
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_cells
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 
-__all__ = ["CopCorrectionFit", "fit_cop_correction"]
-
 
 @dataclass(frozen=True, eq=False)
 class CopCorrectionFit:

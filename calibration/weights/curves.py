@@ -20,8 +20,6 @@ from scipy.optimize import curve_fit, isotonic_regression
 
 from surefoot.arrays import Floats
 
-__all__ = ["CurveFit", "Curves", "fit_curve"]
-
 LEAST = 0.002
 """Share of the range of loads up to which a line is good enough; cheap load cells are linear to 0.0005."""
 

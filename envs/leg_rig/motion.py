@@ -9,8 +9,6 @@ from surefoot.arrays import Floats
 from surefoot.envs.leg_rig.spec import HIP_RANGE
 from surefoot.envs.options import positive
 
-__all__ = ["RIG_SPEED_DEG", "HipMotion", "raster", "sweep", "swing"]
-
 RIG_SPEED_DEG = 6.0
 """Highest speed of each hip joint in deg/s: of what the sensors feel then, about 0.1 % is motion."""
 

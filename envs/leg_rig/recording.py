@@ -25,8 +25,6 @@ from surefoot.envs.leg_rig.spec import (
     sensor_frames,
 )
 
-__all__ = ["HipMotion", "RigRecording", "raster", "record_rig", "sweep", "swing"]
-
 _KNEE_ITERATIONS = 6
 
 

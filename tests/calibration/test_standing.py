@@ -10,8 +10,7 @@ from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.calibration.results import CalibrationRefused, FitResult
-from surefoot.calibration.standing import QuietStanding
-from surefoot.calibration.weights.standing_start import standing_start
+from surefoot.calibration.standing import QuietStanding, standing_start
 
 LAYOUT = nao_shoe_layout()
 K = LAYOUT.channels
