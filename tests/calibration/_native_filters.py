@@ -18,6 +18,8 @@ walk_once = cache(walk)
 class Log:
     """Two thousand samples of one robot, to be spoilt: readings, beliefs, times, and when it is retracted."""
 
+    at = AT
+
     def __init__(self, layout, seed=1, noise=0.05):
         rng = self.rng = np.random.default_rng([61, seed])
         own = walk_once(seed, 0.1, SAMPLES * DT - 3.0, 3.0, BAD)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from _ankles import ANKLES
 from _native import SANITIZED, compile_program, run_program
-from _native_filters import AT, SAMPLES, Log, same, same_estimate
+from _native_filters import Log, same, same_estimate
 from _synthetic import DT, LAYOUT, MASS
 
 from surefoot.calibration import FeetLayout, FootLayout, OnlineSetup, Parameters
@@ -45,27 +45,27 @@ LAYOUTS = {
 
 
 def dead(log):
-    log.force[AT:, 2] = 0.3
+    log.force[log.at :, 2] = 0.3
 
 
 def dead_with_noise(log):
-    log.force[AT:, 5] = 0.05 * log.rng.normal(size=SAMPLES - AT)
+    log.force[log.at :, 5] = 0.05 * log.rng.normal(size=len(log.force) - log.at)
 
 
 def stuck(log):
-    log.force[AT:, 1] = log.force[AT, 1]
+    log.force[log.at :, 1] = log.force[log.at, 1]
 
 
 def dropped(log):
-    log.force[AT:, 3] = np.nan
+    log.force[log.at :, 3] = np.nan
 
 
 def dropped_for_a_while(log):
-    log.force[AT : AT + 200, 3] = np.nan
+    log.force[log.at : log.at + 200, 3] = np.nan
 
 
 def at_its_rail(log):
-    log.force[AT:, 0] = 150.0
+    log.force[log.at :, 0] = 150.0
 
 
 def spikes(log):
@@ -75,23 +75,23 @@ def spikes(log):
 
 
 def flipped(log):
-    log.force[AT:, 4] *= -1.0
+    log.force[log.at :, 4] *= -1.0
 
 
 def swapped(log):
-    log.force[AT:, [1, 2]] = log.force[AT:, [2, 1]]
+    log.force[log.at :, [1, 2]] = log.force[log.at :, [2, 1]]
 
 
 def crossed(log):
-    log.force[AT:, [0, 6]] = -log.force[AT:, [6, 0]]
+    log.force[log.at :, [0, 6]] = -log.force[log.at :, [6, 0]]
 
 
 def loaded(log):
-    log.force[AT:] *= 1.15
+    log.force[log.at :] *= 1.15
 
 
 def comes_back(log):
-    log.force[AT : AT + 300, 2] = 0.3
+    log.force[log.at : log.at + 300, 2] = 0.3
 
 
 def gaps(log):
@@ -131,8 +131,8 @@ def lies(log):
 
 
 def retracted(log):
-    log.reference.com[AT : AT + 80, 0] += 0.03
-    log.retracted = {3, 500, AT + 80, AT + 82}
+    log.reference.com[log.at : log.at + 80, 0] += 0.03
+    log.retracted = {3, 500, log.at + 80, log.at + 82}
 
 
 def stands_for_long(log):
@@ -149,7 +149,7 @@ def on_one_leg(log):
 
 
 def lifted(log):
-    log.force[AT : AT + 160] = 0.0
+    log.force[log.at : log.at + 160] = 0.0
 
 
 def down_early(log):

@@ -29,6 +29,8 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compil
 class MomentumLog:
     """Some seconds of a robot on eight cells whose momentum is known, to be spoilt as a :class:`Log` is."""
 
+    at = AT
+
     def __init__(self, seed=1, lifted=None, walking=True):
         self.rng = np.random.default_rng([62, seed])
         own = move(seed, SAMPLES * DT, Errors.stated(), walking=walking, lifted=lifted)
@@ -69,20 +71,6 @@ def lost_for_a_while(log):
     log.force[AT : AT + 120, 3] = np.nan
 
 
-def stuck(log):
-    log.force[AT:, 1] = log.force[AT, 1]
-
-
-def spikes(log):
-    hit = log.rng.random(log.force.shape) < 0.02
-    log.force += np.where(hit, log.rng.choice([-60.0, 60.0], log.force.shape), 0.0)
-
-
-def missing_and_impossible(log):
-    hit = log.rng.random(log.force.shape) < 0.01
-    log.force[hit] = log.rng.choice([np.nan, np.inf, -np.inf, 1e300, 1e5], int(hit.sum()))
-
-
 def seldom_read(log):
     log.force[np.arange(SAMPLES) % 3 != 0] = np.nan
 
@@ -115,19 +103,13 @@ def bad_references(log):
     log.reference.position_sole[600:] += 5.0
 
 
-def lies(log):
-    for field in ("stance", "swing"):
-        part = getattr(log.reference, field)
-        part[...] ^= log.rng.random(part.shape) < 0.1
-
-
 def retracted(log):
     log.retracted = {3, AT, AT + 2, 500}
 
 
 SPOILT = [
-    lost_for_a_while, stuck, spikes, missing_and_impossible, seldom_read, gaps, unlike_clocks, bad_references,
-    lies, retracted,
+    lost_for_a_while, shared.stuck, shared.spikes, shared.missing_and_impossible, seldom_read, gaps,
+    unlike_clocks, bad_references, shared.lies, retracted,
 ]  # fmt: skip
 LOGS = [walks, held, stands, *(spoilt(how) for how in SPOILT)]
 
