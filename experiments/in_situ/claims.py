@@ -1,4 +1,4 @@
-"""Claims of the simulated in-situ experiment, their verdicts, and findings in sentences."""
+"""Claims of the simulated in-situ experiment, and their verdicts."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from surefoot.experiments.in_situ.cases import MOTIONS
 from surefoot.experiments.in_situ.study import InSituStudyResults
-from surefoot.experiments.study.tables import Frame, number, plural
+from surefoot.experiments.study.tables import Frame, plural
 
 OURS = "measurement"  # the method that is to keep the limits
 
@@ -99,19 +98,10 @@ def limits_of(results: InSituStudyResults) -> tuple[Limit, ...]:
 
 
 def summary_findings(results: InSituStudyResults) -> Iterator[str]:
-    """Say which limits all seeds kept, and how many kept the others."""
+    """Say how many limits all seeds kept, and how many sensors reached the end of their converter."""
     limits = limits_of(results)
     met = sum(limit.met for limit in limits)
     yield f"{met} of {plural(len(limits), 'target')} were reached by every seed, sensor and set."
-    for limit in limits:
-        if limit.met:
-            continue
-        worst = number(float(np.max(limit.values)), 4) if len(limit.values) else "–"
-        missing = f", and {limit.refused} have none: refused." if limit.refused else "."
-        yield (
-            f"Not by all: {limit.name}. {100.0 * limit.share:.1f} % stay within {limit.most:g}; the worst is "
-            f"{worst}{missing}"
-        )
     clipped = results.fits[results.fits["clipped"]]
     if len(clipped):
         ours = clipped[clipped["method"] == OURS]
@@ -120,66 +110,3 @@ def summary_findings(results: InSituStudyResults) -> Iterator[str]:
             f"{len(ours)} of {plural(sensors, 'sensor')} reached the end of their converter; "
             f"{int((ours['refusal'] != '').sum())} of these were refused, as they must be."
         )
-
-
-def limb_findings(results: InSituStudyResults) -> Iterator[str]:
-    """Say how heavy the limb comes out by each method, and how much the loop model helps."""
-    for sensor, part in results.fits.groupby("sensor", sort=False):
-        errors = part.pivot(index="seed", columns="method", values="limb_error")
-        mean, rms = 100.0 * errors.mean(), 100.0 * np.sqrt((errors**2).mean())
-        yield (
-            f"{str(sensor).capitalize()}: III-C finds the limb {_sign(mean['paper'])} % off its weight in "
-            f"the mean, the measurement-space fit {_sign(mean[OURS])} %, and without its hysteresis "
-            f"{_sign(mean['no-loop'])} %; the root mean squares are {number(rms['paper'])}, "
-            f"{number(rms[OURS])} and {number(rms['no-loop'])} %."
-        )
-
-
-def bound_findings(results: InSituStudyResults) -> Iterator[str]:
-    """Say how near to the bound the offsets are, and whether the covariance is right."""
-    for (kind, sensor), part in results.white.groupby(["kind", "sensor"], sort=False):
-        known, name = consistency(part), str(sensor).capitalize()
-        if kind == "real":
-            yield (
-                f"{name} with all errors of a sensor: errors are {number(np.sqrt(known.mean))} times as "
-                "large as the fit reports."
-            )
-            continue
-        drift = "with no drift assumed" if kind == "still" else "with drift estimated"
-        yield (
-            f"{name}, {drift}: offsets err by {number(over_bound(part, 'force'))} (forces) and "
-            f"{number(over_bound(part, 'torque'))} (torques) times the bound; NEES {known.mean:.3f} lies "
-            f"{'inside' if known.inside else 'outside'} {known.low:.3f} to {known.high:.3f}."
-        )
-
-
-def motion_findings(results: InSituStudyResults) -> Iterator[str]:
-    """Say how large the errors of the shortest fast motion are, beside those of the longest slow one."""
-    for sensor, part in results.motions.groupby("sensor", sort=False):
-        answered = part[part["refusal"] == ""]
-        fast = np.array([MOTIONS[int(i)].fast for i in answered["motion"]], dtype=bool)
-        name = str(sensor).capitalize()
-        if fast.all() or not fast.any():
-            which = "slow" if fast.all() else "fast"
-            yield f"{name}: no {which} motion was answered with a calibration."
-            continue
-        slow, quick = answered[~fast], answered[fast]
-        slow = slow[slow["minutes"] == slow["minutes"].max()]
-        quick = quick[quick["minutes"] == quick["minutes"].min()]
-        (force, torque, limb), fast_shares = _shares(slow), _shares(quick)
-        yield (
-            f"{name}: {number(slow['minutes'].iloc[0], 2)} minutes of slow sweeps leave {force} % of the "
-            f"forces, {torque} % of the torques and {limb} % of the limb's weight in the mean; "
-            f"{number(quick['minutes'].iloc[0], 2)} minutes of fast swings "
-            f"{fast_shares[0]}, {fast_shares[1]} and {fast_shares[2]} %."
-        )
-
-
-def _shares(part: Frame) -> tuple[str, ...]:
-    """Return the mean errors of forces, torques and the limb's weight in percent; a dash for none."""
-    columns = ("force_error", "torque_error", "limb_error")
-    return tuple(number(100.0 * part[name].abs().mean()) if name in part else "–" for name in columns)
-
-
-def _sign(value: float) -> str:
-    return ("+" if value > 0.0 else "") + number(value)

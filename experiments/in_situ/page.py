@@ -7,8 +7,8 @@ import numpy as np
 
 from surefoot.calibration.in_situ import estimate_offset
 from surefoot.experiments.force_torque.figures import COUNTS, FORCES, Cloud, Panel, draw_ellipsoids
-from surefoot.experiments.in_situ import claims
 from surefoot.experiments.in_situ.cases import DRAWN
+from surefoot.experiments.in_situ.claims import summary_findings
 from surefoot.experiments.in_situ.methods import METHODS
 from surefoot.experiments.in_situ.study import InSituStudyOptions, InSituStudyResults, run_in_situ_study
 from surefoot.experiments.in_situ.tables import all_tables
@@ -42,10 +42,9 @@ def write_in_situ_study_page(results: InSituStudyResults) -> Report:
     tables, options = all_tables(results), results.options
     folder = options.out / "figures"
 
-    def section(name: str, title: str, text: str = "", said: Any = None, **more: Any) -> Section:
-        found = () if said is None else tuple(said(results))
+    def section(name: str, title: str, text: str = "", **more: Any) -> Section:
         shown = {"tables": (tables[name],)} if name in tables else {}
-        return Section(name, title, (text,) if text else (), found, **shown | more)
+        return Section(name, title, (text,) if text else (), **shown | more)
 
     limb = (
         ReportFigure(
@@ -57,11 +56,11 @@ def write_in_situ_study_page(results: InSituStudyResults) -> Report:
     quick = " --quick" if options.quick else ""
     command = f"surefoot compare in-situ --seeds {options.seeds}{quick} --jobs {options.jobs}"
     sections = (
-        section("targets", "In short", said=claims.summary_findings),
+        section("targets", "In short", findings=tuple(summary_findings(results))),
         section("spheres", "Spheres, masses, places", _say("spheres"), **spheres),
-        section("limb", "Weight of the limb", _say("limb"), claims.limb_findings, figures=limb),
-        section("bound", "As sure as right", _say("bound"), claims.bound_findings),
-        section("motion", "Without waiting for rest", _say("motion"), claims.motion_findings),
+        section("limb", "Weight of the limb", _say("limb"), figures=limb),
+        section("bound", "As sure as right", _say("bound")),
+        section("motion", "Without waiting for rest", _say("motion")),
         section("exact", "The paper's method without noise"),
         *failure_section(results.failures),
         repeat_section(_say("repeat"), (f"{command} --out {options.out}",), results.seconds),
