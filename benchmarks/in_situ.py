@@ -39,10 +39,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
+from surefoot.arrays import Floats
 from surefoot.calibration.in_situ import InSituFit, InSituOptions, InSituSet, InSituTracker, calibrate_in_situ
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
 from surefoot.experiments.force_torque.validation import normalise_error
@@ -58,8 +58,6 @@ from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.tables import Table
 from surefoot.sensors import strain_gauges
 from surefoot.sensors.devices.strain_gauges import shift_offset, true_response
-
-Floats = NDArray[np.float64]
 
 TWO_SIDED = 1.96  # deviations to either side that hold 95 % of a normal distribution
 

@@ -24,6 +24,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.calibration.imu import calibrate_accelerometer, savitzky_golay
 from surefoot.calibration.in_situ import (
     InSituFit,
@@ -34,8 +35,6 @@ from surefoot.calibration.in_situ import (
     estimate_offset,
 )
 from surefoot.experiments.force_torque.validation import force_ellipsoid
-
-Floats = NDArray[np.float64]
 
 STANDARD_GRAVITY = 9.80665  # in m/s^2 per g
 _TRUSTED = (0.001,) * 6

@@ -12,14 +12,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from surefoot.arrays import Floats
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
 from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.files import atomic_path, write_text
 from surefoot.sensors import Imu, StrainGauges, imu, preset, strain_gauges
-
-Floats = NDArray[np.float64]
 
 RATE = 10.0
 DURATION = 60.0

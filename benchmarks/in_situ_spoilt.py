@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
+from surefoot.arrays import Floats
 from surefoot.calibration.in_situ import InSituFit, InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
 from surefoot.calibration.in_situ.data import change_motion, read_later
 from surefoot.calibration.in_situ.fit import ErrorColumns, error_covariance
@@ -39,8 +39,6 @@ from surefoot.experiments.in_situ.instruments import (
     static_sets,
 )
 from surefoot.sensors import Imu
-
-Floats = NDArray[np.float64]
 
 SEED = 2
 SOUND_SEEDS = range(50, 55)

@@ -52,10 +52,6 @@ def zero(log: Log) -> np.ndarray:
     return np.asarray(-log.nominal.offset / log.nominal.scale)
 
 
-def exchange_feet(log: Log, _: np.random.Generator) -> Log:
-    return read(log, np.roll(log.raw, log.layout.feet[0].channels, axis=1))
-
-
 def exchange_cells(log: Log, rng: np.random.Generator) -> Log:
     i, j = rng.choice(log.layout.channels, 2, replace=False)
     order = np.arange(log.layout.channels)
@@ -67,10 +63,6 @@ def turn_sign(log: Log, rng: np.random.Generator) -> Log:
     raw, i = log.raw.copy(), int(rng.integers(log.layout.channels))
     raw[:, i] = 2.0 * zero(log)[i] - raw[:, i]
     return read(log, raw)
-
-
-def halve_gain(log: Log, _: np.random.Generator) -> Log:
-    return read(log, zero(log) + 0.5 * (log.raw - zero(log)))
 
 
 def place(log: Log, factor: Any) -> Log:
@@ -86,15 +78,6 @@ def delay(log: Log, seconds: float) -> Log:
     k = round(seconds / log.dt)
     rows = np.clip(np.arange(len(log)) - k, 0, len(log) - 1)
     return read(log, log.raw[rows])
-
-
-def exchange_roles(log: Log, _: np.random.Generator) -> Log:
-    return believe(log, stance=log.reference.swing, swing=log.reference.stance)
-
-
-def exchange_contacts(log: Log, _: np.random.Generator) -> Log:
-    stance, swing = log.reference.stance, log.reference.swing
-    return believe(log, stance=stance[:, ::-1], swing=swing[:, ::-1])
 
 
 def accelerate(log: Log, change: Callable[[Any], Any]) -> Log:
@@ -122,11 +105,14 @@ def turn(log: Log, R: np.ndarray) -> Log:
 EXCHANGED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 SPOILERS: dict[str, tuple[str, Spoiler]] = {
-    "feet": ("feet exchanged", exchange_feet),
+    "feet": (
+        "feet exchanged",
+        lambda log, _: read(log, np.roll(log.raw, log.layout.feet[0].channels, axis=1)),
+    ),
     "cells": ("cells exchanged", exchange_cells),
     "other cells": ("cells exchanged", exchange_cells),
     "sign": ("sign of channels", turn_sign),
-    "gain 64": ("gain", halve_gain),
+    "gain 64": ("gain", lambda log, _: read(log, 0.5 * (log.raw + zero(log)))),
     "pounds": ("mass", lambda log, _: dataclasses.replace(log, mass=log.mass / 0.45359237)),
     "millimetres": ("layout in other units", lambda log, _: place(log, 1000.0)),
     "centimetres": ("layout in other units", lambda log, _: place(log, 100.0)),
@@ -134,8 +120,14 @@ SPOILERS: dict[str, tuple[str, Spoiler]] = {
     "late": ("feet late or early", lambda log, _: delay(log, 0.25)),
     "early": ("feet late or early", lambda log, _: delay(log, -0.4)),
     "a little late": ("feet late or early", lambda log, _: delay(log, 0.125)),
-    "roles": ("stance and swing exchanged", exchange_roles),
-    "contacts": ("contacts exchanged", exchange_contacts),
+    "roles": (
+        "stance and swing exchanged",
+        lambda log, _: believe(log, stance=log.reference.swing, swing=log.reference.stance),
+    ),
+    "contacts": (
+        "contacts exchanged",
+        lambda log, _: believe(log, stance=log.reference.stance[:, ::-1], swing=log.reference.swing[:, ::-1]),
+    ),
     "mirror": ("references mirrored", mirror),
     "negated": ("acceleration negated", lambda log, _: accelerate(log, lambda a: -a)),
     "gravity": ("acceleration with gravity", lambda log, _: accelerate(log, lambda a: a + UP)),
@@ -179,11 +171,6 @@ def count(table: Weighings, rows: Any, values: Any) -> Weighings:
     return dataclasses.replace(table, code=code)
 
 
-def weigh_off(table: Weighings, rng: np.random.Generator) -> Weighings:
-    row = int(rng.integers(len(table.code)))
-    return count(table, row, table.code[row, 0] + 5000)
-
-
 def exchange_labels(table: Weighings, rng: np.random.Generator) -> Weighings:
     a, b = rng.choice(np.unique(table.load), 2, replace=False)
     load = table.load
@@ -193,10 +180,6 @@ def exchange_labels(table: Weighings, rng: np.random.Generator) -> Weighings:
 def bend(table: Weighings, rng: np.random.Generator) -> Weighings:
     code = 84000 + 4e5 * (1.0 - np.exp(-table.load / 30.0)) + 30.0 * rng.standard_normal(len(table.load))
     return count(table, slice(None), np.rint(code))
-
-
-def deaden(table: Weighings, rng: np.random.Generator) -> Weighings:
-    return count(table, slice(None), np.rint(rng.normal(84000, 30, len(table.code))))
 
 
 def clip(table: Weighings, rng: np.random.Generator) -> Weighings:
@@ -210,9 +193,17 @@ def weigh_in(factor: float) -> Callable[[Weighings, np.random.Generator], Weighi
 
 WEIGHING_SPOILERS: dict[str, tuple[set[str], bool, Callable[[Weighings, np.random.Generator], Weighings]]] = {
     "rail": ({"outliers"}, False, clip),
-    "off": ({"outliers"}, False, weigh_off),
+    "off": (
+        {"outliers"},
+        False,
+        lambda table, rng: count(table, row := int(rng.integers(len(table.code))), table.code[row, 0] + 5000),
+    ),
     "labels": ({"labels"}, True, exchange_labels),
-    "dead": ({"dead cell"}, True, deaden),
+    "dead": (
+        {"dead cell"},
+        True,
+        lambda table, rng: count(table, slice(None), np.rint(rng.normal(84000, 30, len(table.code)))),
+    ),
     "grams": ({"units"}, True, weigh_in(1000.0)),
     "curve": ({"curve", "scatter"}, False, bend),
     "newtons": ({"newtons"}, True, weigh_in(GRAVITY)),

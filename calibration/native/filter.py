@@ -14,19 +14,11 @@ from surefoot.native import Library, Record, StateRecord, leaves_of, rebuilt, st
 
 
 class NativeFilter:
-    """The library for one robot.
+    """The library for one robot: its constants and those of the method, readings, references and estimates.
 
-    Args:
-        library: The library.
-        constants: Those of the robot and the method.
-
-    Attributes:
-        library: The library.
-        constants: Those of the robot and the method.
-        raw: Its readings, shape (K,).
-        references: Records that references are put in, one for each kind that is taken.
-        estimate: The record of the last estimate.
-        parts: Its constants and these two, by the names in ``sf_sample_records``.
+    ``raw`` are its readings, (K,); ``references`` the records that references are put in, one for each kind
+    that is taken; ``estimate`` is the record of the last estimate, and ``parts`` are its constants and these
+    two, by the names in ``sf_sample_records``.
     """
 
     def __init__(self, library: Library, constants: Constants) -> None:
@@ -59,10 +51,9 @@ class NativeFilter:
         self._addresses = filter_.address, self.raw.ctypes.data, self.estimate.address
 
     def put(self, state: StateRecord, python: Any) -> None:
-        """Go on from a Python state, or from before any sample if it is ``None``, in place.
+        """Go on in place from a Python state, or from before any sample if it is ``None``.
 
-        Raises:
-            ValueError: If it is of another robot or method.
+        ValueError if it is of another robot or method.
         """
         if python is None:
             state.bytes[:] = 0

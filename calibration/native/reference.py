@@ -18,22 +18,10 @@ _RECORDS: dict[type[Any], tuple[str, tuple[str, ...]]] = {
 
 
 class ReferenceRecord(Record):
-    """One moment of a robot, overwritten by the next.
+    """One moment of a robot with some feet, of a kind of reference, overwritten by the next.
 
-    Args:
-        library: The library.
-        kind: :class:`Reference`, or :class:`MomentumReference` for one that holds momentum.
-        feet: Number of its feet.
-
-    Attributes:
-        library: The same.
-        kind: The same.
-        feet: The same.
-        dtype: Its layout.
-        real: The dtype of its numbers.
-
-    Raises:
-        ValueError: If the library has no room for so many feet.
+    ``dtype`` is its layout, ``real`` the dtype of its numbers; ValueError if the library has no room for so
+    many feet.
     """
 
     def __init__(self, library: Library, kind: type[Reference] | type[MomentumReference], feet: int) -> None:

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
+from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, FeetLayout, Parameters, Reference, nao_shoe_layout
 
-Floats = NDArray[np.float64]
 LAYOUT: FeetLayout = nao_shoe_layout()
 MASS, HEIGHT, DT = 5.305, 0.26, 1.0 / 80.0
 WIDTH = 0.1
