@@ -24,22 +24,13 @@ FORCE_THRESHOLD = 5.0
 
 
 def cop_of_cells(force: Array, position: Array, threshold: float = FORCE_THRESHOLD) -> Array:
-    """Find the centre of pressure of vertical forces at known places (CoP paper, Eq. 8).
+    """Find the centre of pressure of vertical forces at known places (CoP paper, Eq. 8), shape (..., 2) in m.
 
-    The result is in the frame of the positions: sole positions give the foot's centre of pressure, world
-    positions that in the world. Cells of several feet may be given at once.
-
-    Args:
-        force: Vertical forces in N, shape (..., k).
-        position: Their places in m, shape (..., k, 2) or (..., k, 3); heights are not used.
-        threshold: Sum of forces in N at or below which the result is NaN.
-
-    Returns:
-        Centre of pressure in m, shape (..., 2). NaN where the sum does not exceed the threshold or a force
-        is not finite.
-
-    Raises:
-        ValueError: If the shapes do not belong together or the dtypes are not floating.
+    Forces in N, (..., k), are at places in m, (..., k, 2) or (..., k, 3), whose heights are not used. The
+    result is in the frame of the places: sole positions give the foot's centre of pressure, world positions
+    that in the world. Cells of several feet may be given at once. It is NaN where the sum of forces does not
+    exceed the threshold in N, or one is not finite. ValueError if the shapes do not belong together or the
+    dtypes are not floating.
 
     >>> import numpy as np
     >>> corners = np.array([(0.1, 0.05), (0.1, -0.05), (-0.1, 0.05), (-0.1, -0.05)])

@@ -36,17 +36,11 @@ _ROOM, _HEADER = 2**20, 256  # bytes of a file besides the numbers: notes, and w
 
 
 def save_state(path: AnyPath, state: Any, limits: Limits = _NO_LIMITS, /, **notes: str) -> None:
-    """Write a state to a file.
+    """Write a state of an online method, and texts to check again, to a file under the name as it is given.
 
-    Args:
-        path: Where to; the name is used as it is given.
-        state: The state of an online method.
-        limits: Of its leaves, such as those of an :class:`~surefoot.calibration.setup.OnlineMethod`.
-        notes: Texts to keep with it, checked again by :func:`load_state`.
-
-    Raises:
-        ValueError: If the state holds values that :func:`load_state` would refuse, or something else than a
-            regular file bears the name; a file that is there is left as it is.
+    ValueError if a leaf is beyond its limits, such as those of an
+    :class:`~surefoot.calibration.setup.OnlineMethod`, so that :func:`load_state` would refuse it, or
+    something else than a regular file bears the name; a file that is there is left as it is.
     """
     leaves = {name: np.asarray(leaf) for name, leaf in _leaves(state).items()}
     check_leaves(leaves, limits, f"Nothing was written to '{path}'")
@@ -57,22 +51,12 @@ def save_state(path: AnyPath, state: Any, limits: Limits = _NO_LIMITS, /, **note
 
 
 def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes: str) -> Any:
-    """Read a state from a file.
+    """Read a state that :func:`save_state` wrote.
 
-    Args:
-        path: A file that :func:`save_state` wrote.
-        like: A state of the same method and setup, such as a fresh one, which sets the shapes that must fit.
-            It is not changed.
-        limits: As of :func:`save_state`.
-        notes: Texts that must be as they were saved; under ``method`` an old name of the method is accepted.
-
-    Returns:
-        The saved state.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If the file is no state, not one of this method, shape and dtype, or holds numbers that no
-            state can have.
+    ``like`` is a state of the same method and setup, such as a fresh one, whose shapes must fit; it is not
+    changed. Notes must be as they were saved; under ``method`` an old name of the method is accepted.
+    FileNotFoundError if there is no such file; ValueError if it is no state, not one of this method, shape
+    and dtype, or holds numbers that no state can have.
     """
     wanted = {name: np.asarray(leaf) for name, leaf in _leaves(like).items()}
     # Twice: of a state that is somewhat larger the message names what does not fit.

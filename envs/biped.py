@@ -47,35 +47,18 @@ class Fall(NamedTuple):
 
 
 class BipedEnv(DrawnEnv):
-    """One robot and its task.
+    """One robot and its task; ValueError names an option that is out of its range.
 
-    Args:
-        model: The robot, one motor a joint target.
-        layout: Where its sensors are in a row of sensor data.
-        joint_names: The hinge joints whose angles stand there, in their order.
-        substeps: Simulation steps of one control step.
-        legs: Numbers of the motors of an action, the L leg motors.
-        leg_motors: Their names.
-        force_bound: Largest force of a cell that is shown, in N.
-        fall: When it has fallen.
-        duration: Length of an episode in s, or ``None`` for no end.
-        action_scale: The change of a target by a full action, in rad.
-        prelude: The robot's motion before each episode, or the path of its file.
+    The model has one motor a joint target; ``layout`` says where its sensors are in a row of sensor data, in
+    which the angles of ``joint_names`` stand in this order; an action moves the L motors ``legs``, whose
+    names are ``leg_motors``, by ``action_scale`` rad at most. Forces of cells are shown up to ``force_bound``
+    N. An episode has a duration in s, or ``None`` for no end, and begins after the prelude, or that of a
+    file.
 
-    Attributes:
-        substeps: As given.
-        state: Where the robot is in its episode.
-        observer: Makes its observations.
-        mean_truth: Computes the truth for ``info``.
-        quiet_ticks: Control steps at an episode's beginning in which residuals are checked, and not applied.
-        last_tick: The tick at which an episode is truncated; None for never.
-        fastest: How far targets move in a step at most, in rad.
-        varied: Fields of the model that ``place`` and ``disturb`` change.
-        shared: Attributes that :meth:`another` has in common with this one.
-        began: Called at the end of each reset.
-
-    Raises:
-        ValueError: If an option is out of its range, naming it.
+    ``quiet_ticks`` are the control steps at its beginning in which residuals are checked, and not applied; at
+    ``last_tick`` it is truncated, None for never; ``fastest`` is how far targets move in a step at most, in
+    rad; ``varied`` are fields of the model that ``place`` and ``disturb`` change; ``shared`` attributes are
+    those that :meth:`another` has in common with this one; ``began`` is called at the end of each reset.
     """
 
     truth: Any

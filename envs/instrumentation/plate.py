@@ -21,18 +21,12 @@ from surefoot.arrays import Floats
 class SolePlate:
     """The statics of one sole: a rigid plate on four springs, which are its load cells.
 
-    Args:
-        position_cell_sole: Places of the cells in the sole frame in m, shape (4, 2) or (4, 3).
-        stiffness: Stiffnesses of the cells in any one unit, shape (4,): only their ratios matter.
-
-    Attributes:
-        load_of_cells: Load (fz, tx, ty) per force of each cell, shape (3, 4): 1 and m.
-        share: Forces of the cells per load (fz, tx, ty) at the sole's origin, shape (4, 3): 1 and 1/m.
-        constraint: The unit combination of the four forces that is zero under any load, shape (4,).
-        across: Horizontal forces of the cells, along x, then y, per load (fx, fy, tz) at the origin, (8, 3).
-
-    Raises:
-        ValueError: If a shape is wrong, a stiffness is not positive or the cells lie on one line.
+    Cells have places in the sole frame in m, (4, 2) or (4, 3), and stiffnesses in any one unit, (4,).
+    ``load_of_cells`` is the load (fz, tx, ty) per force of each cell, (3, 4), 1 and m; ``share`` the forces
+    of the cells per load at the sole's origin, (4, 3), 1 and 1/m; ``constraint`` the unit combination of the
+    four forces that is zero under any load, (4,); ``across`` the horizontal forces, along x, then y, per load
+    (fx, fy, tz) at the origin, (8, 3). ValueError if a shape is wrong, a stiffness is not positive or the
+    cells lie on one line.
 
     >>> plate = SolePlate([(0.1, 0.05), (0.1, -0.05), (-0.1, 0.05), (-0.1, -0.05)], [1.0, 1.0, 1.0, 1.0])
     >>> plate.share @ (40.0, 0.0, 0.0)

@@ -12,23 +12,12 @@ from surefoot.envs.options import check_range, positive
 class NaoSurpriseEnv(NaoEnv):
     """Stand still first, so that calibrators get a standing start, and get a mass on the torso after it.
 
-    During the quiet stand residuals are not applied, and nobody pushes.
-
-    Args:
-        stand_time: Length of the quiet stand in s, with which an episode begins.
-        payload_mass: Lowest and highest mass of the payload in kg; (0, 0) for none.
-        payload_time: Earliest and latest moment at which it comes, in s after the quiet stand. By default not
-            before a calibrator can tell a load from a broken sensor.
-        payload_boxes: Boxes in the torso's frame, of which an episode draws the one in which its centre of
-            mass lies: two corners each, in m, shape (boxes, 2, 3).
-        **options: Of :class:`NaoEnv`, but for ``payload``, which is drawn here.
-
-    Attributes:
-        stand_time: As given.
-
-    Raises:
-        ValueError: If an option is out of its range, naming it.
-        TypeError: If ``payload`` is given.
+    During the quiet stand of ``stand_time`` s residuals are not applied, and nobody pushes. The payload has a
+    mass between a lowest and a highest one in kg, (0, 0) for none, and comes so many s after the stand: by
+    default not before a calibrator can tell a load from a broken sensor. Its centre of mass lies in one of
+    some boxes in the torso's frame, two corners each in m, shape (boxes, 2, 3). Other options are those of
+    :class:`NaoEnv`, but for ``payload``, which is drawn here. ValueError names an option that is out of its
+    range; a ``payload`` is a TypeError.
     """
 
     def __init__(
