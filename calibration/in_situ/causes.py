@@ -398,10 +398,6 @@ def _low_pass(values: Matrix, data: InSituSet, seconds: float) -> Matrix:
     return np.asarray(lfilter([1.0 - kept], [1.0, -kept], values, axis=0, zi=kept * values[:1])[0])
 
 
-def _take_zero_off(values: Matrix, data: InSituSet, seconds: float) -> Matrix:
-    return values - _low_pass(values, data, seconds)
-
-
 def _hold(values: Matrix, data: InSituSet, _: float) -> Matrix:
     """Return values as they were when readings that repeat were read."""
     fresh = np.append(True, np.any(data.raw[1:] != data.raw[:-1], axis=1))
@@ -422,7 +418,7 @@ _READINGS: tuple[tuple[str, str, _Change, tuple[float, ...]], ...] = (
     (
         "the driver takes a zero off that follows the readings within {:.3g} s",
         "Log the sensor's own readings, with no automatic zero in the driver.",
-        _take_zero_off,
+        lambda values, data, seconds: values - _low_pass(values, data, seconds),
         tuple(10.0 * _DELAYS),
     ),
     (

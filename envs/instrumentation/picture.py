@@ -103,7 +103,8 @@ class FeetDrawing:
             reach = 0.5 * float(np.ptp(foot.polygon[:, 0])) if len(foot.polygon) else 0.1
             _line(renderer.scene, origin, origin + reach * R_world_sole[:, 0], AXIS)
             for place in () if cells is None else cells:
-                _ball(renderer.scene, origin + R_world_sole[:, :2] @ place, CELL)
+                ball = _new_geom(renderer.scene, mujoco.mjtGeom.mjGEOM_SPHERE, CELL)
+                ball.pos[:] = origin + R_world_sole[:, :2] @ place
         picture: NDArray[np.uint8] = renderer.render()
         return picture
 
@@ -145,10 +146,6 @@ def _model(name: str, feet: Sequence[str] | None, soles: bool) -> tuple[mujoco.M
 def _line(scene: Any, start: Floats, end: Floats, rgba: Sequence[float]) -> None:
     geom = _new_geom(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, rgba)
     mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, 0.002, start, end)
-
-
-def _ball(scene: Any, place: Floats, rgba: Sequence[float]) -> None:
-    _new_geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, rgba).pos[:] = place
 
 
 def _new_geom(scene: Any, kind: mujoco.mjtGeom, rgba: Sequence[float]) -> Any:

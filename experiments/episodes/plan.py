@@ -26,12 +26,6 @@ from surefoot.sensors import LoadCells
 from surefoot.sensors.presets import resolve
 
 
-def scenario_of_task(name: str) -> Scenario:
-    """Return the scenario in which policies for a task are evaluated."""
-    task = find_task(name)
-    return Scenario(task.name, task.name, environment=task.env_id, of_task=True)
-
-
 def find_scenario(name: str, others: Mapping[str, Scenario] = MappingProxyType({})) -> Scenario:
     """Return the scenario of a closed loop by its name, of others or of all; ValueError lists them."""
     known = {n: s for n, s in SCENARIOS.items() if s.loops and s.environment in registry} | dict(others)
@@ -214,6 +208,7 @@ def evaluation_plan(
     for name, value, least in (("seeds", seeds, 1), ("first_seed", first_seed, 0)):
         if not isinstance(value, int) or isinstance(value, bool) or value < least:
             raise ValueError(f"'{name}' must be a whole number from {least} on, got {value!r}.")
+    found = find_task(task)
     return EpisodePlan(
         tuple(sorted(controllers)),
         tuple(sorted(map(check_feed, feeds), key=[*FEEDS, *feeds].index)),
@@ -222,7 +217,7 @@ def evaluation_plan(
         tuple(range(first_seed, first_seed + seeds)),
         duration=None,
         settle=None,
-        own={task: scenario_of_task(task)},
+        own={task: Scenario(found.name, found.name, environment=found.env_id, of_task=True)},
     )
 
 

@@ -367,7 +367,11 @@ def guess_topics(path: Path, *, walk: bool) -> str:
     firsts: dict[str, Any] = {}  # messages, by topic
     with open_bag(path) as reader:
         kinds = {name: str(info.msgtype) for name, info in sorted(reader.topics.items())}
-        known = [one for one in reader.connections if _of_use(one.msgtype)]
+        known = [
+            one
+            for one in reader.connections
+            if one.msgtype in (*WRENCHES, JOINTS, IMU) or COUNTS.fullmatch(one.msgtype)
+        ]
         with explain_damage(path):
             for connection, _, data in reader.messages(known) if known else ():
                 if connection.topic not in firsts:
@@ -394,10 +398,6 @@ def guess_topics(path: Path, *, walk: bool) -> str:
         lines += [f"{field} = {json.dumps(column)}" for field, column in parts]
     lines += ["", *(f"# not used: {name} ({kind})" for name, kind in kinds.items() if name not in fields)]
     return "\n".join(lines).rstrip() + "\n"
-
-
-def _of_use(kind: str) -> bool:
-    return kind in (*WRENCHES, JOINTS, IMU) or COUNTS.fullmatch(kind) is not None
 
 
 def _channels(message: Any) -> list[str]:

@@ -73,7 +73,8 @@ def guess_contacts(reference: Reference, dt: float) -> tuple[Bools, Bools]:
     apart = np.where(known[:, None], apart, 0.0)
     # The level frame turns with the feet; lengths in it do not.
     speed = np.linalg.norm(np.gradient(apart, dt, axis=0), axis=-1)
-    moving = _spread(speed > MOVING, PAUSE, dt)
+    near = 2 * round(PAUSE / dt) + 1
+    moving = maximum_filter1d((speed > MOVING).astype(np.int8), near, axis=0, mode="nearest") > 0
     height = np.stack([apart[:, 2], -apart[:, 2]], axis=-1)
     falling = ~(reference.com_acceleration[:, 2] > (CARRIED - 1.0) * GRAVITY)
     sure = (known & ~falling)[:, None]
@@ -122,9 +123,3 @@ def _erode(held: Bools, dt: float, margin: float = SURE) -> Bools:
     """Samples whose neighbours up to a margin in s hold as well."""
     kept = minimum_filter1d(held.astype(np.int8), 2 * round(margin / dt) + 1, axis=0, mode="nearest")
     return np.asarray(kept > 0)
-
-
-def _spread(held: Bools, time: float, dt: float) -> Bools:
-    """Add the moments shortly before and after."""
-    added = maximum_filter1d(held.astype(np.int8), 2 * round(time / dt) + 1, axis=0, mode="nearest")
-    return np.asarray(added > 0)

@@ -90,8 +90,8 @@ def loop_findings(runs: Frame) -> Iterator[str]:
             lost = int((~fell["none"] & fell[feed]).sum())
             p = stats.binomtest(min(saved, lost), saved + lost).pvalue if saved + lost else 1.0
             yield (
-                f"Severity {severity:g}, {feed_name(feed)} CoP: of those that fall on drifting raw CoP it "
-                f"saves {saved}, of those that do not it loses {lost} (sign test p = {p:.2g})."
+                f"Severity {severity:g}, {short_label(feed)}-calibrated CoP: of those that fall on drifting "
+                f"raw CoP it saves {saved}, of those that do not it loses {lost} (sign test p = {p:.2g})."
             )
 
 
@@ -106,8 +106,3 @@ def lead_finding(loop: Frame) -> str:
         f"bad as cheap ones: fed the raw CoP the robot falls in {falls['none']} of {plural(walks, 'walk')}, "
         f"fed {' and '.join(others)}."
     )
-
-
-def feed_name(feed: str) -> str:
-    """Name of the CoP that is fed back."""
-    return {"true": "true", "none": "drifting raw"}.get(feed, f"{short_label(feed)}-calibrated")
