@@ -28,7 +28,6 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -60,20 +59,11 @@ from surefoot.wrappers import FootSensors, SelfCalibration
 METHODS = ("none", "tare", "window", "moment", "integrated")
 """``integrated`` is ``moment`` on accelerations that it adds up itself, as logs have them."""
 
-LOADED = 0.05
-"""Share of the weight from which on a foot's centre of pressure counts."""
-
-UNLOADED = 0.01
-"""Share of the weight below which a foot bears nothing: readings have as much noise."""
-
-HELD = 12.0, 20.0
-"""From when to when something lifts the robot, in s."""
-
-SETTLE, DURATION = 10.0, 30.0
-"""From when on errors count, and how long a scene lasts, in s."""
-
-HELD_OUT = 100
-"""Seeds from this on are those of the page; constants were chosen on lower ones."""
+LOADED = 0.05  # share of the weight from which on a foot's centre of pressure counts
+UNLOADED = 0.01  # share of the weight below which a foot bears nothing: readings have as much noise
+HELD = 12.0, 20.0  # from when to when something lifts the robot, in s
+SETTLE, DURATION = 10.0, 30.0  # from when on errors count, and how long a scene lasts, in s
+HELD_OUT = 100  # seeds from this on are those of the page; constants were chosen on lower ones
 
 
 class Scene(NamedTuple):
@@ -90,6 +80,8 @@ class Scene(NamedTuple):
 def _walk(*command: float) -> Callable[[float], tuple[float, float, float]]:
     return lambda time: command if time > 2.0 else (0.0, 0.0, 0.0)  # type: ignore[return-value]
 
+
+EXERCISE = "nao", "op3", "g1", "t1"  # robots of surefoot/Exercise-v0
 
 SCENES = {
     f"{robot}/{name}": scene._replace(robot=robot)
@@ -116,16 +108,10 @@ SCENES = {
     "nao/sway": Scene("surefoot/NaoStand-v0", options=(("sway", (0.02, 0.02)),)),
     "nao/held-20": Scene("surefoot/NaoStand-v0", lifted=0.2),
     "nao/held-walk": Scene("surefoot/NaoWalk-v0", lifted=0.15),
-    "exercise/nao": Scene("nao"),
-    "exercise/op3": Scene("op3"),
-    "exercise/g1": Scene("unitree"),
-    "exercise/t1": Scene("t1"),
+    **{f"exercise/{own}": Scene("surefoot/Exercise-v0", options=(("robot", own),)) for own in EXERCISE},
 }
 
-PAGE = (
-    *SCENES,
-    *(f"{robot}/walk, {start}" for start in ("triple", "bench") for robot in ("g1", "nao")),
-)
+PAGE = (*SCENES, *(f"{robot}/walk, {start}" for start in ("triple", "bench") for robot in ("g1", "nao")))
 """Scenes of the table of the pages, some with other cells to start with."""
 
 PARTS_PAGE = (
@@ -184,10 +170,6 @@ def _change_constants(part: str) -> Any:
     return patch("surefoot.calibration.native.config.moment_constants", constants)
 
 
-EXERCISE = {"nao": "nao", "op3": "op3", "unitree": "g1", "t1": "t1"}
-"""Robots of ``surefoot/Exercise-v0``."""
-
-
 class Stream(NamedTuple):
     """One scene: N samples of K channels on F feet."""
 
@@ -213,10 +195,7 @@ def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
         env = make_g1(policy)
         base: Any = env.unwrapped
         return env, lambda time: base.policy(base.state(), np.array(scene.command(time), float))
-    if scene.robot in EXERCISE:
-        env = gym.make("surefoot/Exercise-v0", robot=EXERCISE[scene.robot], disable_env_checker=True)
-    else:
-        env = gym.make(scene.robot, disable_env_checker=True, **dict(scene.options))
+    env = gym.make(scene.robot, disable_env_checker=True, **dict(scene.options))
     still = np.zeros(env.action_space.shape or ())
     return env, lambda time: still
 
@@ -305,8 +284,7 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
     """Play a method on a stream, and score it from :data:`SETTLE` on."""
     weight, first = 9.81 * one.mass, round(SETTLE / one.dt)
     kept: dict[str, list[float]] = {key: [] for key in COLUMNS}
-    every = round(1.0 / one.dt)
-    accused = False
+    every, accused = round(1.0 / one.dt), False
     for k, estimate in enumerate(play(one, method, **options)):
         accused = accused or bool((estimate.flags & ACCUSED).any())
         if k < first:
@@ -356,8 +334,7 @@ def score(one: Stream, method: str, **options: Any) -> dict[str, float]:
 ACCUSED = int(Flag.LOST | Flag.DEAD | Flag.STUCK | Flag.FLIPPED | Flag.SWAPPED)
 """Flags of channels that are thought to be faulty."""
 
-COVERED = 0.5, 0.9, 0.95
-"""Chances of ellipses of a foot's CoP."""
+COVERED = 0.5, 0.9, 0.95  # chances of ellipses of a foot's CoP
 
 COLUMNS = {
     "foot": 1e3, "total": 1e3, "cell": 100.0, "vgrf": 100.0, "nees": 0.0, "nees foot": 0.0,
@@ -391,19 +368,16 @@ SHOWN = {"foot": "foot (mm)", "cell": "cell (%)", "nees": "NEES"}
 """Columns of the pages, of each method; NEES of those that claim a covariance."""
 
 
-def _mean_of_scene(scene: str, runs: Frame) -> str:
-    return "{foot:.2f} ({nees:.1f})".format(**runs.loc[runs["scene"] == scene, ["foot", "nees"]].mean())
-
-
-def _mean_of_method(method: str, key: str, runs: Frame) -> str:
-    return decimal(float(runs[runs["method"] == method][key].mean()), ".2f")
-
-
 def table_of_parts(scores: Frame) -> Table:
     """Return a table of a foot's error (mm) and NEES, a line a part that is left out, a column a scene."""
     columns: dict[str, Cell] = {
         "left out": lambda runs: str(runs["method"].iloc[0]).partition(" without ")[2] or "nothing",
-        **{scene: partial(_mean_of_scene, scene) for scene in scores["scene"].unique()},
+        **{
+            scene: lambda runs, scene=scene: "{foot:.2f} ({nees:.1f})".format(
+                **runs.loc[runs["scene"] == scene, ["foot", "nees"]].mean()
+            )
+            for scene in scores["scene"].unique()
+        },
     }
     parts = [part for _, part in scores.groupby("method", sort=False)]
     return table_of("parts", "Parts of moment, each left out in turn", columns, parts)
@@ -415,7 +389,9 @@ def table_of_feet(scores: Frame, seeds: int) -> Table:
         "scene": lambda runs: str(runs["scene"].iloc[0]),
         "seeds": lambda runs: str(seeds),
         **{
-            f"{method}: {SHOWN[key]}": partial(_mean_of_method, method, key)
+            f"{method}: {SHOWN[key]}": lambda runs, method=method, key=key: decimal(
+                float(runs[runs["method"] == method][key].mean()), ".2f"
+            )
             for key in SHOWN
             for method in scores["method"].unique()
             if key != "nees" or method == "moment"
