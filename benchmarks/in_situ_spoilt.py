@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -85,23 +85,15 @@ def record(seed: int, gyroscope: bool, sensor: str = "leg", **rig: Any) -> Log:
 Change = Callable[[Log], Log]
 
 
-@dataclass(frozen=True)
-class Spoilt:
-    """A thing that goes wrong, in some sizes.
+class Spoilt(NamedTuple):
+    """A thing that goes wrong, in some sizes."""
 
-    Attributes:
-        cause: Words by which a message names it.
-        sizes: Changes of a log by the size in words; or options of the rig, where the recording is spoilt.
-        factory: Whether it is tried without the factory matrix and with it.
-        gyroscope: The same of the gyroscope.
-        unknowable: Whether nothing in a log without a factory matrix can show it.
-    """
-
-    cause: str
+    cause: str  # words by which a message names it
     sizes: dict[str, Change | dict[str, Any]]
-    factory: tuple[bool, ...] = (False, True)
+    """Changes of a log by the size in words; or options of the rig, where the recording is spoilt."""
+    factory: tuple[bool, ...] = (False, True)  # whether it is tried without the factory matrix and with it
     gyroscope: tuple[bool, ...] = (False, True)
-    unknowable: bool = False
+    unknowable: bool = False  # whether nothing in a log without a factory matrix can show it
 
 
 def each(change: Callable[[InSituSet], InSituSet], chosen: tuple[int, ...] = (0, 1, 2, 3)) -> Change:
@@ -285,19 +277,13 @@ def mix_channels(log: Log) -> Floats:
 
 
 PUSH = [-5.0, 3.0, -5.5, 1.0, 0.4, 0.2]  # 8 N and 1.1 N m
-ZERO = r"zero|step|leap|jump"
 TOUCH = r"touch|push"
 CLIP = r"clip|saturat|\bends at"
 MASS_UNIT = r"in (g|grams|lb|pounds)\b|mass\w* .*(unit|grams|pounds)"
 PLACE_UNIT = r"\bmm\b|\bcm\b|places .*unit"
 GRAVITY_UNIT = r"m/s\^2|gravity is"
-ROTATION = r"estimate_rotation|turned|rotat"
-BIAS = r"calibrate the accelerometer|bias"
 SCALE = r"calibrate the accelerometer|scale is off|gravity is"
 WHOLE = r"transpos|inver[ts]|rows of the factory|units of (its|the factory)|order of"
-ENTRY = r"[Ee]ntry \["
-SPEED = r"too fast|fast"
-SOFT = r"bend|not rigid|gives"
 PLACES = r"place|negat|lever"
 SIGN = r"sign"
 LATE = r"came about .* after"
@@ -307,7 +293,7 @@ ORTHOGONAL = np.linalg.qr(np.random.default_rng(SEED).normal(size=(6, 6)))[0]
 
 SPOILTS: dict[str, Spoilt] = {
     "step of a zero": Spoilt(
-        ZERO,
+        r"zero|step|leap|jump",
         {
             "5 N, set 2": read([3.0, 2.0, 3.5, 0.2, 0.3, 0.1], 1, 0.5, 1.0),
             "15 N, set 3": read([9.0, 6.0, 10.0, 0.6, 0.9, 0.3], 2, 0.3, 1.0),
@@ -333,11 +319,11 @@ SPOILTS: dict[str, Spoilt] = {
     "gravity in mg": Spoilt(GRAVITY_UNIT, {"": vectors(lambda g: g / 9.80665e-3)}),
     "gravity in g": Spoilt(GRAVITY_UNIT, {"": vectors(lambda g: g / 9.80665)}),
     "IMU turned": Spoilt(
-        ROTATION,
+        r"estimate_rotation|turned|rotat",
         {"5 deg": turn([3.0, -4.0, 0.0]), "10 deg": turn([6.0, 4.0, -7.0]), "90 deg": turn([0, 0, 90])},
     ),
     "accelerometer's bias": Spoilt(
-        BIAS,
+        r"calibrate the accelerometer|bias",
         {
             "0.3": vectors(lambda g: np.add(g, [0.2, -0.1, 0.2])),
             "1": vectors(lambda g: np.add(g, [0.0, 0.6, -0.8])),
@@ -356,7 +342,7 @@ SPOILTS: dict[str, Spoilt] = {
     "factory negated": Spoilt(SIGN, {"": factory(np.negative)}, (True,)),
     "gravity negated": Spoilt(SIGN, {"": vectors(np.negative)}, (True,)),
     "factory entry": Spoilt(
-        ENTRY,
+        r"[Ee]ntry \[",
         {"sign": entry(2, 4, -1.0), "times 10": entry(0, 5, 10.0), "a tenth": entry(1, 1, 0.1)},
         (True,),
     ),
@@ -369,7 +355,7 @@ SPOILTS: dict[str, Spoilt] = {
     "two sets swapped": Spoilt(r"swap|exchang", {"2, 3": swap(1, 2), "1, 4": swap(0, 3)}),
     "all places negated": Spoilt(PLACES, {"": scale_masses(1.0, -1.0)}, (True,)),
     "fast without a gyroscope": Spoilt(
-        SPEED,
+        r"too fast|fast",
         {
             "38 deg/s": {"speed_deg": 38.0, "rate": 50.0},
             "76 deg/s": {"speed_deg": 76.0, "rate": 50.0},
@@ -377,7 +363,9 @@ SPOILTS: dict[str, Spoilt] = {
         },
         gyroscope=(False,),
     ),
-    "limb not rigid": Spoilt(SOFT, {f"{slack}": {"knee_slack": slack} for slack in (0.005, 0.02, 0.06)}),
+    "limb not rigid": Spoilt(
+        r"bend|not rigid|gives", {f"{slack}": {"knee_slack": slack} for slack in (0.005, 0.02, 0.06)}
+    ),
     "foot on the floor": Spoilt(TOUCH, {"": {"floor": True}}),
     "channels exchanged": Spoilt(
         r"channels? .* (are )?exchanged", {"": factory(lambda F: F[:, [3, 1, 2, 0, 4, 5]])}, (True,)
