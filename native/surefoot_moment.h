@@ -39,10 +39,8 @@
 #define SF_AT_ONCE (SF_CHANNELS > SF_COMPONENTS ? SF_CHANNELS : SF_COMPONENTS) /* rows */
 #define SF_SUSPECTS (2 * SF_CHANNELS + SF_CHANNELS * (SF_CHANNELS - 1))
 
-/* Shares of a mixture that change no digit of it. */
-#define SF_LITTLE 1e-15
-/* By how much the share of a variance may exceed 1 by rounding. */
-#define SF_EQUAL 1e-12
+/* Logarithm of shares of a mixture that change no digit of it. */
+#define SF_LITTLE -34
 
 /* ------------------------------------------------------------------------------------------------ records */
 
@@ -57,10 +55,10 @@ typedef struct {
     sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_tared, largest_sum, touch_load;
     sf_real level_time, least_still;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
-    sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], near[2], wide, least_share;
+    sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], near[2], wide, least_narrower;
     sf_real most_load, least_row, reading_noise;
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
-    sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance;
+    sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, least_published;
     sf_real leg_time, spin_time, first_speed, fastest;
     sf_real sure, contrast, alike, smallest_step, least_error, suspect_share, suspect_noise[2], suspect_surprise;
 } sf_moment_config;
@@ -144,13 +142,9 @@ typedef struct {
 /* The severities against the data of one mode, in standard deviations of the wide prior: number 4 * k + l is of the
    severity l of offsets. */
 typedef struct {
-    sf_real pull[SF_JUDGED], off[SF_JUDGED]; /* what pulls, and the mean less the start */
-    sf_real U[4 * SF_CHANNELS * SF_CHANNELS], W[4 * SF_CHANNELS * SF_CHANNELS], z[4 * SF_CHANNELS];
-    sf_real V[16 * SF_CHANNELS * SF_CHANNELS], y[16 * SF_CHANNELS];
+    sf_real U[4 * SF_CHANNELS * (SF_JUDGED + 1)], V[16 * SF_CHANNELS * (SF_CHANNELS + 1)]; /* see sf_compare */
     sf_real weight[16], evidence; /* of each severity, and of all together */
-    sf_real factor[SF_JUDGED * SF_JUDGED]; /* U of the covariance U' U, if it is positive definite */
-    int factored;
-    int sound[4];                 /* whether U is of numbers */
+    int place[4], pair[16], count; /* where severities of offsets are in U, and which severities are in V */
 } sf_compared;
 
 typedef struct {
@@ -158,11 +152,11 @@ typedef struct {
     sf_moment_rows rows;
     sf_leap leap;
     sf_compared compared[SF_MODES];
-    sf_real std[SF_JUDGED], per_std[SF_JUDGED], inverse[SF_SEVERITIES * SF_JUDGED]; /* of priors */
-    sf_real ahead[16]; /* logarithms of how likely severities are, and of their priors' determinants */
-    sf_real A[SF_STATES * SF_STATES], B[SF_STATES * SF_STATES], axes[SF_JUDGED * SF_JUDGED], room[4 * SF_STATES];
-    sf_real answer[16 * SF_JUDGED], shared[4 * SF_CHANNELS * SF_CHANNELS], found[16 * SF_JUDGED];
-    sf_real turned[4 * SF_CHANNELS * SF_CHANNELS], quads[4 * SF_CHANNELS * SF_CHANNELS];
+    sf_real std[SF_JUDGED], per_std[SF_JUDGED], own[SF_SEVERITIES * SF_JUDGED]; /* of priors */
+    sf_real ahead[16]; /* logarithms of how likely severities are, and of what a measurement finds at first */
+    sf_real A[SF_STATES * SF_STATES], B[SF_STATES * SF_STATES], R[SF_JUDGED * SF_JUDGED];
+    sf_real F[SF_CHANNELS * SF_CHANNELS], one[SF_CHANNELS * SF_CHANNELS], X[SF_CHANNELS * (SF_CHANNELS + 1)];
+    sf_real S[4 * SF_CHANNELS * (SF_CHANNELS + 1)], U[SF_CHANNELS * (SF_JUDGED + 1)], found[16 * SF_JUDGED];
     sf_real unit[SF_BLOCK * SF_COMPONENTS * SF_CHANNELS], force[SF_BLOCK * SF_CHANNELS];
     sf_publication published;
 } sf_moment_work;
@@ -615,23 +609,31 @@ SF_API void sf_mix(const sf_config *c, const sf_moment_config *m, const sf_modes
     }
 }
 
-/* update: take in rows, of which `predicted` is H P, by Joseph's form. `first` to `last`: unknowns that are considered
-   and not estimated. S: what the innovation is expected to be. */
+/* update: take in rows, of which `predicted` is H P. `first` to `last`: unknowns that are considered and not estimated.
+   S: what the innovation is expected to be; of this, U' U, the innovation squared, x' S^-1 x, and the logarithm of the
+   determinant, NaN where it is not positive definite. */
 SF_API int sf_moment_update(sf_real *mean, sf_real *P, int N, int rows, const sf_real *predicted, const sf_real *innovation,
-                              const sf_real *S, int first, int last, sf_real *room) {
-    sf_real L[SF_AT_ONCE * SF_AT_ONCE], *rest = room, *gain = room + rows * N;
-    sf_copy(L, S, rows * rows);
-    if (!sf_cholesky(L, rows)) return 0;
-    sf_copy(gain, predicted, rows * N);
-    sf_solve(L, rows, gain, N);
-    for (int r = 0; r < rows; r++)
-        for (int i = first; i < last; i++) gain[r * N + i] = 0;
-    /* P - G A - A' G' + G S G', with A = H P. */
-    sf_multiply(rest, S, gain, rows, rows, N);
-    for (int i = 0; i < rows * N; i++) rest[i] = predicted[i] - rest[i];
-    sf_copy(gain + rows * N, predicted, rows * N);
-    for (int r = 0; r < rows; r++) sf_add(mean, innovation[r], gain + r * N, N);
-    for (int i = 0; i < N; i++) sf_add_rows(P + i * N, -1, rest + i, N, gain, N, 2 * rows, sf_rounded(i + 1, N));
+                              const sf_real *S, int first, int last, sf_real *room, sf_real *square, sf_real *size) {
+    int wide = rows + N + 1;
+    const sf_real *W = room + rows; /* U'^-1 H P, and behind it U'^-1 of the innovation */
+    sf_real product = 1;
+    *square = 0, *size = (sf_real)NAN;
+    for (int r = 0; r < rows; r++) {
+        sf_copy(room + r * wide, S + r * rows, rows);
+        sf_copy(room + r * wide + rows, predicted + r * N, N);
+        room[r * wide + rows + N] = innovation[r];
+    }
+    if (!sf_cholesky(room, rows, wide)) return 0;
+    for (int r = 0; r < rows; r++) {
+        const sf_real *row = W + r * wide;
+        sf_add(mean, row[N], row, first);
+        sf_add(mean + last, row[N], row + last, N - last);
+        *square += row[N] * row[N], product *= room[r * wide + r];
+    }
+    *size = 2 * sf_log(product);
+    /* What is considered keeps its own covariance. */
+    for (int i = first > 0 ? 0 : last; i < N; i++)
+        sf_add_rows(P + i * N, -1, W + i, wide, W, wide, rows, i >= first && i < last ? first : sf_rounded(i + 1, N));
     sf_mirror(P, N);
     return 1;
 }
@@ -640,18 +642,6 @@ SF_API int sf_moment_update(sf_real *mean, sf_real *P, int N, int rows, const sf
 typedef struct {
     sf_real likelihood[SF_MODES], nis;
 } sf_taught;
-
-/* x' S^-1 x, and the logarithm of the determinant of S; NaN where S is not positive definite. */
-SF_API sf_real sf_normalised(const sf_real *x, const sf_real *S, int n, sf_real *size) {
-    sf_real L[SF_COMPONENTS * SF_COMPONENTS], y[SF_COMPONENTS];
-    *size = 0;
-    sf_copy(L, S, n * n);
-    sf_copy(y, x, n);
-    if (!sf_cholesky(L, n)) return *size = (sf_real)NAN;
-    sf_solve(L, n, y, 1);
-    for (int i = 0; i < n; i++) *size += 2 * sf_log(L[i * n + i]);
-    return sf_dot(x, y, n);
-}
 
 /* chance_of_load: the chance that a load is not negative: likelihoods are those of such loads alone. */
 SF_API sf_real sf_chance_of_load(const sf_moment_config *m, sf_real mean, sf_real variance) {
@@ -667,7 +657,7 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_mod
         if (s->chance[j] > s->chance[likeliest]) likeliest = j;
     for (int j = 0; j < SF_MODES; j++) {
         sf_real *mean = s->mean + j * N, *P = s->covariance + j * N * N, *predicted = w->A, *end = w->B;
-        sf_real decay = sf_exp(-rows->duration / m->mode_time[j]), innovation[SF_COMPONENTS], size;
+        sf_real decay = sf_exp(-rows->duration / m->mode_time[j]), innovation[SF_COMPONENTS], square, size;
         sf_real expected[SF_COMPONENTS * SF_COMPONENTS], moved[SF_COMPONENTS];
         for (int k = wrench; k < N; k++) {
             mean[k] *= decay;
@@ -683,15 +673,14 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_mod
                 expected[r * C + k] = sf_dot(predicted + r * N, rows->mean + k * N, N) +
                                       (rows->variance[r * C + k] + rows->walk[r * C + k] / 3);
         }
-        sf_real square = sf_normalised(innovation, expected, C, &size);
-        out->likelihood[j] = (sf_real)-0.5 * (square + size);
-        if (j == likeliest) out->nis = square;
         /* What a load weighs is estimated; what the robot itself weighs is only considered, and so is all but the
            momentum while somebody holds it. */
         int first = at - 2, last = m->mode_load[j] == 0 ? at - 1 : at - 2;
         if (j == m->held) first = 0, last = at;
         sf_real before = m->mode_load[j] > 0 ? sf_chance_of_load(m, mean[at - 2], P[(at - 2) * N + at - 2]) : 1;
-        good = sf_moment_update(mean, P, N, C, predicted, innovation, expected, first, last, w->B) && good;
+        good = sf_moment_update(mean, P, N, C, predicted, innovation, expected, first, last, w->B, &square, &size) && good;
+        out->likelihood[j] = (sf_real)-0.5 * (square + size);
+        if (j == likeliest) out->nis = square;
         sf_real lighter = mean[at - 2], *of_mass = P + (at - 2) * N;
         if (m->mode_load[j] > 0) { /* keep_heavier */
             out->likelihood[j] += sf_log(sf_chance_of_load(m, lighter, of_mass[at - 2]) / before);
@@ -724,42 +713,48 @@ SF_API void sf_weigh_modes(const sf_moment_config *m, const sf_real *evidence, s
     for (int j = 0; j < SF_MODES; j++) chance[j] /= sum;
 }
 
+/* Whether a mode is likely enough to be handed out. */
+SF_API int sf_published(const sf_moment_config *m, const sf_modes *s, int mode) {
+    return s->chance[mode] >= m->least_published;
+}
+
 /* ----------------------------------------------------------------------------------------------- severity */
 
-/* Severity.prior: standard deviations of the wide prior, and in these the inverse variances of the others: of scales by
-   the severity of scales, of offsets by theirs. scale: as published last. */
+/* Severity.prior: standard deviations of the wide prior, and in these the variances with which others measure the start
+   besides: of scales by the severity of scales, of offsets by theirs. scale: as published last. */
 SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, sf_real drifted, const sf_real *scale,
                       sf_moment_work *w) {
     int K = c->channels, M = 2 * K;
-    sf_real square = m->wide * m->wide, of[2][SF_SEVERITIES] = {{0}}, prior[SF_JUDGED];
+    sf_real square = m->wide * m->wide, size[2][SF_SEVERITIES], stated[SF_JUDGED], wide[SF_JUDGED];
     for (int i = 0; i < K; i++) {
-        sf_real near = sf_min(sf_max(scale[i], m->near[0]), m->near[1]);
-        prior[i] = (m->spread_scale[i] + drifted) * near * near * near;
-        prior[K + i] = m->spread_offset[i];
-        w->std[i] = sf_sqrt(square * (m->spread_scale[i] + drifted / square));
-        w->std[K + i] = sf_sqrt(square * m->spread_offset[i]);
-        w->per_std[i] = 1 / w->std[i], w->per_std[K + i] = 1 / w->std[K + i];
+        sf_real near = sf_clip(scale[i], m->near[0], m->near[1]);
+        stated[i] = (m->spread_scale[i] + drifted) * near * near * near, stated[K + i] = m->spread_offset[i];
+        wide[i] = square * m->spread_scale[i] + drifted, wide[K + i] = square * m->spread_offset[i];
     }
-    for (int l = 0; l < SF_SEVERITIES; l++) {
-        sf_real by = m->severities[l] * m->severities[l], *inverse = w->inverse + l * M;
-        for (int i = 0; i < M; i++) {
-            inverse[i] = w->std[i] * w->std[i] / (by * prior[i]);
-            of[i >= K][l] -= sf_log(inverse[i]);
+    for (int i = 0; i < M; i++) w->std[i] = sf_sqrt(wide[i]), w->per_std[i] = 1 / w->std[i];
+    for (int l = 0; l < SF_SEVERITIES; l++)
+        for (int half = 0; half < 2; half++) {
+            sf_real by = m->severities[l] * m->severities[l], product = 1;
+            for (int i = half * K; i < (half + 1) * K; i++) {
+                sf_real narrower = sf_max(wide[i] / (by * stated[i]) - 1, m->least_narrower);
+                w->own[l * M + i] = 1 / narrower;
+                product *= 1 + 1 / narrower;
+            }
+            size[half][l] = sf_log(product);
         }
-    }
     for (int i = 0; i < SF_SEVERITIES; i++)
         for (int l = 0; l < SF_SEVERITIES; l++)
-            w->ahead[SF_SEVERITIES * i + l] = sf_log(m->likely[i] * m->likely[l]) - (sf_real)0.5 * (of[0][i] + of[1][l]);
+            w->ahead[SF_SEVERITIES * i + l] = sf_log(m->likely[i] * m->likely[l]) + (sf_real)0.5 * (size[0][i] + size[1][l]);
 }
 
-/* Four matrices at once, as none of their numbers wait for another's: number k of all four is at 4 * k and behind. They
-   are symmetric, or triangular with their upper halves, and have the inverses of factors' diagonals in these' places. */
+/* Four matrices at once, as none of their numbers wait for another's: number k of all four is at 4 * k and behind; so many
+   `lanes` of them are used. */
 
 /* to += sign * sum of factor[k * apart] * B[k * wide ...] over `inner` rows, of n quadruples each. */
 SF_API void sf_add_quads(sf_real *__restrict to, sf_real sign, const sf_real *factor, int apart, const sf_real *B,
-                         int wide, int inner, int n) {
+                         int wide, int inner, int n, int lanes) {
     for (; n >= 4; n -= 4, to += 16, B += 16)
-        for (int l = 0; l < 4; l += SF_WIDE) {
+        for (int l = 0; l < lanes; l += SF_WIDE) {
             sf_wide a = *sf_at(to + l), b = *sf_at(to + 4 + l), c = *sf_at(to + 8 + l), d = *sf_at(to + 12 + l);
             for (int k = 0; k < inner; k++) {
                 const sf_real *row = B + k * wide + l;
@@ -770,353 +765,197 @@ SF_API void sf_add_quads(sf_real *__restrict to, sf_real sign, const sf_real *fa
             *sf_at(to + l) = a, *sf_at(to + 4 + l) = b, *sf_at(to + 8 + l) = c, *sf_at(to + 12 + l) = d;
         }
     for (; n > 0; n--, to += 4, B += 4)
-        for (int l = 0; l < 4; l += SF_WIDE) {
+        for (int l = 0; l < lanes; l += SF_WIDE) {
             sf_wide a = *sf_at(to + l);
             for (int k = 0; k < inner; k++) a += sign * *sf_from(factor + k * apart + l) * *sf_from(B + k * wide + l);
             *sf_at(to + l) = a;
         }
 }
 
-/* The same of one number of each of 16 matrices, with as many factors. */
-SF_API void sf_add_all(sf_real *__restrict to, sf_real sign, const sf_real *factor, int apart, const sf_real *B, int wide,
-                       int inner) {
-    sf_wide sum[16 / SF_WIDE];
-    for (int q = 0; q < 16 / SF_WIDE; q++) sum[q] = *sf_from(to + q * SF_WIDE);
-    for (int k = 0; k < inner; k++, factor += apart, B += wide)
-        for (int q = 0; q < 16 / SF_WIDE; q++) sum[q] += sign * *sf_from(factor + q * SF_WIDE) * *sf_from(B + q * SF_WIDE);
-    for (int q = 0; q < 16 / SF_WIDE; q++) *sf_at(to + q * SF_WIDE) = sum[q];
-}
-
-/* n numbers of each of `lanes` matrices times one. */
-SF_API void sf_scale_lanes(sf_real *to, const sf_real *by, int lanes, int n) {
-    for (int i = 0; i < n; i++)
-        for (int l = 0; l < lanes; l += SF_WIDE) *sf_at(to + i * lanes + l) *= *sf_from(by + l);
-}
-
-/* to += the sums of n quadruples. */
-SF_API void sf_add_lanes(sf_real *to, const sf_real *quads, int n) {
-    for (int i = 0; i < n; i++) to[i] += (quads[4 * i] + quads[4 * i + 1]) + (quads[4 * i + 2] + quads[4 * i + 3]);
-}
-
-/* Put the inverses of roots of pivots in their place, and add the logarithms of the determinant; NaN without a root. */
-SF_API void sf_find_roots(sf_real *pivot, int lanes, sf_real *product, sf_real *size, int add) {
-    for (int l = 0; l < lanes; l++) pivot[l] = 1 / sf_sqrt(pivot[l] > 0 ? pivot[l] : (sf_real)NAN);
-    for (int l = 0; l < lanes; l++) product[l] *= pivot[l];
-    for (int l = 0; add && l < lanes; l++) size[l] -= 2 * sf_log(product[l]), product[l] = 1;
-}
-
-/* Overwrite four or all A with U, A = U' U; the logarithms of the determinants, NaN of those that are not positive
-   definite. */
-SF_API void sf_factor_quads(sf_real *A, int n, sf_real size[4]) {
-    sf_real product[4] = {1, 1, 1, 1};
-    for (int l = 0; l < 4; l++) size[l] = 0;
+/* Overwrite the upper halves of four A with U, A = U' U, and what stands behind them in rows of `wide` quadruples with
+   U'^-1 of that. Diagonals are left as their inverses, of which `product` is that of all; NaN where U is none. */
+SF_API void sf_factor_quads(sf_real *A, int n, int wide, int lanes, sf_real product[4]) {
+    for (int l = 0; l < 4; l++) product[l] = 1;
     for (int i = 0; i < n; i++) {
-        sf_real *row = A + 4 * (i * n + i);
-        sf_add_quads(row, -1, A + 4 * i, 4 * n, A + 4 * i, 4 * n, i, n - i);
-        sf_find_roots(row, 4, product, size, i % 8 == 7 || i == n - 1);
-        sf_scale_lanes(row + 4, row, 4, n - i - 1);
-    }
-}
-SF_API void sf_factor_all(sf_real *A, int n, sf_real size[16]) {
-    sf_real product[16];
-    for (int l = 0; l < 16; l++) size[l] = 0, product[l] = 1;
-    for (int i = 0; i < n; i++) {
-        sf_real *row = A + 16 * i * n;
-        for (int j = i; j < n; j++) sf_add_all(row + 16 * j, -1, A + 16 * i, 16 * n, A + 16 * j, 16 * n, i);
-        sf_find_roots(row + 16 * i, 16, product, size, i % 8 == 7 || i == n - 1);
-        sf_scale_lanes(row + 16 * (i + 1), row + 16 * i, 16, n - i - 1);
+        sf_real *row = A + 4 * (i * wide + i);
+        sf_add_quads(row, -1, A + 4 * i, 4 * wide, A + 4 * i, 4 * wide, i, wide - i, lanes);
+        for (int l = 0; l < lanes; l++) product[l] *= row[l] = 1 / sf_sqrt(row[l] > 0 ? row[l] : (sf_real)NAN);
+        for (int k = 1; k < wide - i; k++)
+            for (int l = 0; l < lanes; l += SF_WIDE) *sf_at(row + 4 * k + l) *= *sf_from(row + l);
     }
 }
 
-/* Overwrite B, shape (n, columns), with U'^-1 B, or with U^-1 B. */
-SF_API void sf_solve_quads(const sf_real *U, int n, sf_real *B, int columns, int upper) {
-    for (int step = 0; step < n; step++) {
-        int i = upper ? n - 1 - step : step;
-        sf_real *row = B + 4 * i * columns;
-        const sf_real *own = U + 4 * (i * n + i);
-        if (upper) sf_add_quads(row, -1, own + 4, 4, row + 4 * columns, 4 * columns, n - i - 1, columns);
-        else sf_add_quads(row, -1, U + 4 * i, 4 * n, B, 4 * columns, i, columns);
-        sf_scale_lanes(row, own, 4, columns);
-    }
-}
-SF_API void sf_solve_all(const sf_real *U, int n, sf_real *b, int upper) {
-    for (int step = 0; step < n; step++) {
-        int i = upper ? n - 1 - step : step;
-        const sf_real *own = U + 16 * (i * n + i);
-        if (upper) sf_add_all(b + 16 * i, -1, own + 16, 16, b + 16 * (i + 1), 16, n - i - 1);
-        else sf_add_all(b + 16 * i, -1, U + 16 * i, 16 * n, b, 16, i);
-        sf_scale_lanes(b + 16 * i, own, 16, 1);
-    }
-}
-
-/* The inverses of U' U, all of their numbers, in `out`; U becomes U'^-1, in its lower half. */
-SF_API void sf_invert_quads(sf_real *U, int n, sf_real *out) {
-    for (int i = 0; i < n; i++) {
-        sf_real *here = out + 4 * i * n, *own = U + 4 * (i * n + i);
-        memset(here, 0, (size_t)(4 * n) * sizeof(sf_real));
-        sf_add_quads(here, -1, U + 4 * i, 4 * n, out, 4 * n, i, i);
-        sf_scale_lanes(here, own, 4, i);
-        sf_copy(here + 4 * i, own, 4);
-    }
-    for (int i = 0; i < n; i++) sf_copy(U + 4 * i * n, out + 4 * i * n, 4 * (i + 1));
-    for (int i = 0; i < n; i++) {
-        sf_real *here = out + 4 * i * n;
-        memset(here, 0, (size_t)(4 * (i + 1)) * sizeof(sf_real));
-        sf_add_quads(here, 1, U + 4 * (i * n + i), 4 * n, U + 4 * i * n, 4 * n, n - i, i + 1);
-    }
-}
-
-/* The weighted sums over severities of scales of the inverses of U' U, all of their numbers, in `out`; U becomes U'^-1 in
-   its lower half. */
-SF_API void sf_sum_inverses(sf_real *U, int n, const sf_real weight[16], sf_real *out) {
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j < i; j++) {
-            sf_real *here = U + 16 * (i * n + j);
-            memset(here, 0, 16 * sizeof(sf_real));
-            sf_add_all(here, -1, U + 16 * (j * n + i), 16 * n, U + 16 * (j * n + j), 16 * n, i - j);
-            sf_scale_lanes(here, U + 16 * (i * n + i), 16, 1);
-        }
-    for (int l = 0; l < 16; l++) /* of no weight, and in no number's way */
-        for (int k = 0; !(weight[l] > 0) && k < n * n; k++) U[16 * k + l] = 0;
-    for (int i = 0; i < n; i++)
-        for (int j = 0; j <= i; j++) {
-            sf_real sum[16] = {0}, *here = out + 4 * (i * n + j);
-            sf_add_all(sum, 1, U + 16 * (i * n + i), 16 * n, U + 16 * (i * n + j), 16 * n, n - i);
-            for (int l = 0; l < 4; l++)
-                here[l] = weight[l] * sum[l] + weight[4 + l] * sum[4 + l] + weight[8 + l] * sum[8 + l] +
-                          weight[12 + l] * sum[12 + l];
-            sf_copy(out + 4 * (j * n + i), here, 4);
-        }
-}
-
-/* The inverse of U' U into `out`, all of it; U becomes U'^-1. Rows are as wide as registers, of zeros then. */
-SF_API void sf_inverse(sf_real *U, int n, sf_real *out) {
-    for (int i = 0; i < n; i++) {
-        sf_real *row = out + i * n, by = 1 / U[i * n + i];
-        memset(row, 0, (size_t)n * sizeof(sf_real));
-        sf_add_rows(row, -by, U + i, n, out, n, i, sf_rounded(i, n));
-        row[i] = by;
-    }
-    sf_copy(U, out, n * n);
-    memset(out, 0, (size_t)(n * n) * sizeof(sf_real));
-    for (int i = 0; i < n; i++)
-        sf_add_rows(out + i * n, 1, U + i * n + i, n, U + i * n, n, n - i, sf_rounded(i + 1, n));
-    sf_mirror(out, n);
-}
-
-/* The information of the data alone, P^-1 - P0^-1, what pulls, and the evidence of the wide prior: the upper half of `S`
-   is the covariance in standard deviations of that prior. Directions in which it is wider say nothing. */
-SF_API int sf_information(const sf_config *c, const sf_moment_config *m, sf_real *S, sf_moment_work *w, sf_compared *d,
-                          sf_real *mine) {
-    int M = 2 * c->channels;
-    sf_real *room = w->A, *share = w->room, *U = w->axes, *pull = d->pull, *off = d->off, product = 1, own = 0, most = 0;
-    sf_copy(d->factor, S, M * M);
-    d->factored = sf_cholesky(d->factor, M);
-    /* If it is wider nowhere, an inverse is all. */
-    for (int i = 0; i < M * M; i++) room[i] = -S[i];
-    for (int i = 0; i < M; i++) room[i * M + i] += 1 + SF_EQUAL;
-    if (d->factored && sf_cholesky(room, M)) {
-        sf_copy(U, d->factor, M * M);
-        for (int i = 0; i < M; i++) {
-            product *= U[i * M + i];
-            if (i % 8 == 7 || i == M - 1) own += sf_log(product), product = 1;
-        }
-        sf_inverse(U, M, room);
-        for (int i = 0; i < M; i++) most = sf_max(most, room[i * M + i]);
-        if (most * m->least_share < (sf_real)0.1) {
-            for (int i = 0; i < M; i++) pull[i] = sf_dot(room + i * M, off, M);
-            *mine = (sf_real)0.5 * sf_dot(off, pull, M) + own;
-            sf_copy(S, room, M * M);
-            for (int i = 0; i < M; i++) S[i * M + i] -= 1;
-            return 1;
-        }
-    }
-    sf_real *axes = w->axes, *factor = w->room + M;
-    for (int i = 0; i < M; i++)
-        for (int k = 0; k < i; k++) S[i * M + k] = S[k * M + i];
-    if (!sf_eigen(S, M, share, axes, w->room + M)) return 0;
-    *mine = 0;
-    memset(pull, 0, (size_t)M * sizeof(sf_real));
-    for (int k = 0; k < M; k++) {
-        sf_real value = sf_max(share[k], m->least_share), along = sf_dot(axes + k * M, off, M);
-        share[k] = 0;
-        if (!(value < 1)) continue;
-        share[k] = 1 / value - 1;
-        sf_add(pull, along / value, axes + k * M, M);
-        *mine += (sf_real)0.5 * (along * along / value + sf_log(value));
-    }
-    memset(S, 0, (size_t)(M * M) * sizeof(sf_real));
-    for (int i = 0; i < M; i++) {
-        for (int k = 0; k < M; k++) factor[k] = share[k] * axes[k * M + i];
-        sf_add_rows(S + i * M, 1, factor, 1, axes, M, M, M);
-    }
-    return 1;
-}
-
-/* Severity._compare for one mode: hold all severities against the data. What all severities of scales share is done
-   once: with the information A, B and C of scales, both and offsets, U' U = C + o, W = U'^-1 B' and S = A - W' W. */
-SF_API int sf_compare(const sf_config *c, const sf_moment_config *m, const sf_real *mean, const sf_real *P, int N,
+/* Severity._compare for one mode: hold all severities against the data, or those alone that have weight in `of`. What
+   all severities of scales share is done once: with A, B and C of scales, both and offsets in P, U' U = C + E, W = U'^-1
+   [B, off], and V' V = A - W' W + E of scales, y = V'^-1 of what is left of their means. Rows hold all of this. */
+SF_API int sf_compare(const sf_config *c, const sf_real *mean, const sf_real *P, int N, const sf_compared *of,
                       sf_moment_work *w, sf_compared *d) {
-    int K = c->channels, M = 2 * K;
-    sf_real *off = d->off, *I = w->B, *x = w->room, sizes[4], own[16], base[4] = {0}, mine, best = -HUGE_VAL, total = 0;
-    for (int i = 0; i < M; i++) {
-        off[i] = (mean[i] - (sf_real)(i < K)) * w->per_std[i];
-        for (int k = i; k < M; k++) I[i * M + k] = P[i * N + k] * (w->per_std[i] * w->per_std[k]);
+    int K = c->channels, M = 2 * K, wide = K + 1, both = M + 1, place[4], offsets[4], lanes = 0, count = 0;
+    sf_real evidence[16], size[4], product[4], found[4] = {0, 0, 0, 0}, *U = d->U, *S = w->S, best = -HUGE_VAL, total = 0;
+    for (int l = 0; l < 4; l++) {
+        int before = count;
+        for (int which = l; which < 16; which += 4)
+            if (!of || of->weight[which] > 0) d->pair[count++] = which;
+        if (count > before) place[l] = lanes, offsets[lanes++] = l;
     }
-    if (!sf_information(c, m, I, w, d, &mine)) return 0;
+    for (int l = lanes; l < 4; l++) offsets[l] = offsets[0];
+    lanes = (lanes + SF_WIDE - 1) / SF_WIDE * SF_WIDE;
     for (int i = 0; i < K; i++) {
-        const sf_real *row = I + (K + i) * M;
-        for (int l = 0; l < 4; l++) d->z[4 * i + l] = d->pull[K + i], x[4 * i + l] = d->pull[i];
-        for (int k = i; k < K; k++)
-            for (int l = 0; l < 4; l++) d->U[4 * (i * K + k) + l] = row[K + k], w->shared[4 * (i * K + k) + l] = I[i * M + k];
+        const sf_real *scale = P + i * N, *offset = P + (K + i) * N;
         for (int k = 0; k < K; k++)
-            for (int l = 0; l < 4; l++) d->W[4 * (i * K + k) + l] = row[k];
-        for (int l = 0; l < 4; l++) d->U[4 * (i * K + i) + l] += w->inverse[l * M + K + i];
-    }
-    sf_factor_quads(d->U, K, sizes);
-    for (int l = 0; l < 4; l++) d->sound[l] = sizes[l] == sizes[l];
-    sf_solve_quads(d->U, K, d->W, K, 0);
-    sf_solve_quads(d->U, K, d->z, 1, 0);
-    for (int i = 0; i < K; i++)
-        for (int l = 0; l < 4; l++) base[l] += d->z[4 * i + l] * d->z[4 * i + l];
-    sf_add_quads(x, -1, d->z, 4, d->W, 4 * K, K, K);
-    for (int i = 0; i < K; i++) {
-        sf_add_quads(w->shared + 4 * (i * K + i), -1, d->W + 4 * i, 4 * K, d->W + 4 * i, 4 * K, K, K - i);
-        for (int k = i; k < K; k++)
-            for (int j = 0; j < SF_SEVERITIES; j++) sf_copy(d->V + 16 * (i * K + k) + 4 * j, w->shared + 4 * (i * K + k), 4);
-        for (int j = 0; j < SF_SEVERITIES; j++) {
-            for (int l = 0; l < 4; l++) d->V[16 * (i * K + i) + 4 * j + l] += w->inverse[j * M + i];
-            sf_copy(d->y + 16 * i + 4 * j, x + 4 * i, 4);
+            for (int l = 0; l < lanes; l++) {
+                U[4 * (i * both + k) + l] = offset[K + k] * (w->per_std[K + i] * w->per_std[K + k]);
+                U[4 * (i * both + K + k) + l] = offset[k] * (w->per_std[K + i] * w->per_std[k]);
+                S[4 * (i * wide + k) + l] = scale[k] * (w->per_std[i] * w->per_std[k]);
+            }
+        for (int l = 0; l < lanes; l++) {
+            U[4 * (i * both + i) + l] += w->own[offsets[l] * M + K + i];
+            U[4 * (i * both + M) + l] = mean[K + i] * w->per_std[K + i];
+            S[4 * (i * wide + K) + l] = (mean[i] - 1) * w->per_std[i];
         }
     }
-    sf_factor_all(d->V, K, own);
-    sf_solve_all(d->V, K, d->y, 0);
-    for (int which = 0; which < 16; which++) {
-        sf_real square = base[which % 4], *out = d->weight + which;
-        for (int k = 0; k < K; k++) square += d->y[16 * k + which] * d->y[16 * k + which];
-        *out = (sf_real)0.5 * (square - sizes[which % 4] - own[which]) + w->ahead[which] - mine;
-        if (*out > best) best = *out; /* not of NaN */
+    sf_factor_quads(U, K, both, lanes, size);
+    for (int i = 0; i < K; i++) {
+        sf_real *left = U + 4 * (K + i);
+        sf_add_quads(S + 4 * (i * wide + i), -1, left, 4 * both, left, 4 * both, K, wide - i, lanes);
+        for (int l = 0; l < lanes; l++) found[l] += sf_power2(U[4 * (i * both + M) + l]);
+    }
+    for (int group = 0; group < count; group += 4) {
+        sf_real *V = d->V + group * K * wide;
+        for (int p = 0; p < 4; p++) {
+            int which = d->pair[group + p < count ? group + p : group];
+            const sf_real *from = S + place[which % 4], *own = w->own + which / 4 * M;
+            for (int i = 0; i < K; i++) {
+                for (int k = i; k < wide; k++) V[4 * (i * wide + k) + p] = from[4 * (i * wide + k)];
+                V[4 * (i * wide + i) + p] += own[i];
+            }
+        }
+        sf_factor_quads(V, K, wide, 4, product);
+        for (int p = 0; p < 4 && group + p < count; p++) {
+            int which = d->pair[group + p], l = place[which % 4];
+            sf_real square = found[l];
+            for (int i = 0; i < K; i++) square += sf_power2(V[4 * (i * wide + K) + p]);
+            evidence[which] = w->ahead[which] - (sf_real)0.5 * square + sf_log(size[l] * product[p]);
+            if (evidence[which] > best) best = evidence[which]; /* not of NaN */
+        }
     }
     if (!sf_finite(best)) return 0;
-    for (int which = 0; which < 16; which++) {
-        d->weight[which] = sf_exp(d->weight[which] - best);
-        if (!(d->weight[which] > 0)) d->weight[which] = 0;
-        total += d->weight[which];
+    for (int which = 0; which < 16; which++) d->weight[which] = 0;
+    for (int n = 0; n < count; n++) {
+        sf_real *weight = d->weight + d->pair[n], less = evidence[d->pair[n]] - best;
+        if (less > SF_LITTLE) total += *weight = sf_exp(less);
     }
     for (int which = 0; which < 16; which++) d->weight[which] /= total;
+    for (int l = 0; l < 4; l++) d->place[l] = place[l];
+    d->count = count;
     d->evidence = best + sf_log(total);
     return 1;
 }
 
-/* The posterior of one mode under all severities together, in standard deviations of the wide prior: its mean, shape
-   (M,), and the lower half of its covariance, of rows of `wide` numbers. Severities of no weight in a mode of this
-   chance are left out. With X = U^-1 W, and V = (S + s)^-1 of scales, that is [V, -V X'; -X V, (C + o)^-1 + X V X']. */
-SF_API void sf_posterior(const sf_config *c, sf_compared *d, sf_real chance, sf_moment_work *w, sf_real *mean,
-                         sf_real *covariance, int wide) {
-    int K = c->channels, M = 2 * K;
-    sf_real *shared = w->shared, *found = w->found, *turned = w->turned, *inverse = w->quads, *answer = w->answer;
-    sf_real lane[4] = {0, 0, 0, 0}, *of = d->weight;
-    for (int l = 0; l < 4; l++) { /* of no weight, and in no number's way */
-        if (d->sound[l]) continue;
-        for (int k = 0; k < K * K; k++) d->U[4 * k + l] = (sf_real)(k % (K + 1) == 0);
-        for (int k = 0; k < K * K; k++) d->W[4 * k + l] = 0;
-        for (int e = 0; e < K; e++) d->z[4 * e + l] = 0;
+/* weight * (U' U)^-1, of U of rows of `wide` numbers */
+SF_API void sf_weighted_inverse(const sf_real *U, int n, int wide, sf_real weight, sf_real *out) {
+    memset(out, 0, (size_t)(n * n) * sizeof(sf_real));
+    for (int i = 0; i < n; i++) out[i * n + i] = weight;
+    sf_solve(U, n, wide, out, n);
+}
+
+/* One of four U, of n rows of `wide` numbers. */
+SF_API void sf_take_lane(sf_real *U, const sf_real *quads, int n, int wide) {
+    for (int i = 0; i < n * wide; i++) U[i] = quads[4 * i];
+    for (int i = 0; i < n; i++) U[i * wide + i] = 1 / U[i * wide + i];
+}
+
+/* What measuring the start does to one mode under all severities together: the mean of all (P + E)^-1 (x - x0), and R,
+   with which the mixture's covariance is P - P R P. With F = (V' V)^-1 and X = U^-1 W that is of [F, -F X'; -X F,
+   (C + E)^-1 + X F X'], less the covariance of what pulls. */
+SF_API void sf_pull(const sf_config *c, const sf_compared *d, sf_moment_work *w, sf_real *pull, sf_real *R) {
+    int K = c->channels, M = 2 * K, wide = K + 1, both = M + 1;
+    sf_real *F = w->F, *one = w->one, *found = w->found, *X = w->X, *U = w->U;
+    memset(pull, 0, (size_t)M * sizeof(sf_real));
+    memset(R, 0, (size_t)(M * M) * sizeof(sf_real));
+    for (int l = 0; l < 4; l++) {
+        sf_real sum = 0;
+        for (int which = l; which < 16; which += 4) sum += d->weight[which];
+        if (!(sum > 0)) continue;
+        sf_take_lane(U, d->U + d->place[l], K, both);
+        for (int i = 0; i < K; i++) sf_copy(X + i * wide, U + i * both + K, wide);
+        sf_solve_back(U, K, both, X, wide);
+        sf_weighted_inverse(U, K, both, sum, one);
+        for (int i = 0; i < K; i++)
+            for (int k = 0; k <= i; k++) R[(K + i) * M + K + k] += one[i * K + k];
+        memset(F, 0, (size_t)(K * K) * sizeof(sf_real));
+        for (int n = 0; n < d->count; n++) {
+            int which = d->pair[n];
+            sf_real weight = d->weight[which], *own = found + which * M;
+            if (which % 4 != l || !(weight > 0)) continue;
+            sf_take_lane(U, d->V + n / 4 * 4 * K * wide + n % 4, K, wide);
+            for (int i = 0; i < K; i++) own[i] = U[i * wide + K];
+            sf_solve_back(U, K, wide, own, 1);
+            for (int i = 0; i < K; i++) own[K + i] = X[i * wide + K] - sf_dot(X + i * wide, own, K);
+            sf_add(pull, weight, own, M);
+            sf_weighted_inverse(U, K, wide, weight, one);
+            sf_add(F, 1, one, K * K);
+        }
+        for (int i = 0; i < K; i++) {
+            sf_real *row = R + (K + i) * M, turned[SF_CHANNELS] = {0};
+            sf_add(R + i * M, 1, F + i * K, K);
+            sf_add_rows(turned, 1, X + i * wide, 1, F, K, K, K);
+            sf_add(row, -1, turned, K);
+            for (int k = 0; k <= i; k++) row[K + k] += sf_dot(turned, X + k * wide, K);
+        }
     }
-    sf_solve_quads(d->U, K, d->W, K, 1);
-    sf_solve_quads(d->U, K, d->z, 1, 1);
-    for (int e = 0; e < K; e++)
-        for (int k = 0; k < K; k++) sf_copy(turned + 4 * (k * K + e), d->W + 4 * (e * K + k), 4);
-    sf_copy(answer, d->y, 16 * K);
-    sf_solve_all(d->V, K, answer, 1);
-    for (int e = 0; e < K; e++) {
-        for (int i = 0; i < SF_SEVERITIES; i++) sf_copy(answer + 16 * (K + e) + 4 * i, d->z + 4 * e, 4);
-        sf_add_quads(answer + 16 * (K + e), -1, turned + 4 * e, 4 * K, answer, 16, K, 4);
-    }
-    memset(mean, 0, (size_t)M * sizeof(sf_real));
     for (int which = 0; which < 16; which++) {
         sf_real *own = found + which * M;
-        of[which] = of[which] * chance > SF_LITTLE ? of[which] : 0;
-        for (int k = 0; k < M; k++) own[k] = of[which] > 0 ? answer[16 * k + which] : 0;
-        sf_add(mean, of[which], own, M);
-        lane[which % 4] += of[which];
+        if (!(d->weight[which] > 0)) continue;
+        for (int i = 0; i < M; i++) own[i] -= pull[i];
+        for (int i = 0; i < M; i++) sf_add(R + i * M, -d->weight[which] * own[i], own, i + 1);
     }
-    sf_sum_inverses(d->V, K, of, shared);
-    for (int which = 0; which < 16; which++)
-        for (int k = 0; of[which] > 0 && k < M; k++) found[which * M + k] -= mean[k];
-    for (int j = 0; j < M; j++) {
-        sf_real apart[16], *row = covariance + j * wide;
-        for (int which = 0; which < 16; which++) apart[which] = of[which] * found[which * M + j];
-        memset(row, 0, (size_t)M * sizeof(sf_real));
-        sf_add_rows(row, 1, apart, 1, found, M, 16, sf_rounded(j + 1, M));
-    }
-    sf_invert_quads(d->U, K, inverse);
-    for (int i = 0; i < K; i++) sf_add_lanes(covariance + i * wide, shared + 4 * i * K, i + 1);
-    for (int e = 0; e < K; e++) {
-        memset(answer, 0, (size_t)(4 * K) * sizeof(sf_real));
-        sf_add_quads(answer, -1, d->W + 4 * e * K, 4, shared, 4 * K, K, K);
-        sf_copy(answer + 4 * K, inverse + 4 * e * K, 4 * (e + 1));
-        sf_scale_lanes(answer + 4 * K, lane, 4, e + 1);
-        sf_add_quads(answer + 4 * K, -1, answer, 4, turned, 4 * K, K, e + 1);
-        sf_add_lanes(covariance + (K + e) * wide, answer, K + e + 1);
-    }
+    sf_mirror(R, M);
 }
 
-/* Severity.weigh, its end: the drift of one mode by its scales and offsets, whose mean and covariance, in standard
-   deviations of the wide prior, are at the beginning of those of a whole map, of which each row has `wide` numbers. */
-SF_API void sf_follow_drift(const sf_config *c, const sf_compared *d, const sf_real *x, const sf_real *P, int N,
-                            sf_moment_work *w, sf_real *mean, sf_real *covariance, int wide) {
-    int K = c->channels, M = 2 * K;
-    sf_real *G = w->quads, *with = w->turned; /* G' and P_xu, shape (M, K) */
-    for (int i = 0; i < M; i++)
-        for (int k = 0; k < K; k++) G[i * K + k] = with[i * K + k] = P[i * N + M + k] * w->per_std[i];
-    if (!d->factored) G[0] = (sf_real)NAN; /* and nothing is handed out */
-    else sf_solve(d->factor, M, G, K);
-    sf_copy(mean + M, x + M, K);
-    for (int i = 0; i < M; i++) sf_add(mean + M, mean[i] - d->off[i], G + i * K, K);
-    for (int k = 0; k < K; k++) {
-        sf_real *row = covariance + (M + k) * wide;
-        memset(row, 0, (size_t)M * sizeof(sf_real));
-        sf_copy(row + M, P + (M + k) * N + M, K);
-        sf_add_rows(row, 1, G + k, K, covariance, wide, M, M);
-        sf_add_rows(row + M, -1, with + k, K, G, K, M, K);
-        sf_add_rows(row + M, 1, row, 1, G, K, M, K);
-    }
-}
-
-/* Weighed.publish: what all modes hold together; overwrites w->compared. */
+/* Severity.weigh, its end, and Weighed.publish: what all modes hold together. */
 SF_API void sf_moment_publish(const sf_config *c, const sf_moment_config *m, const sf_modes *belief, sf_moment_work *w,
                               sf_publication *out) {
     int K = c->channels, J = 2 * K, M = sf_weighed(c), N = sf_states(c, m);
-    sf_real means[SF_MODES * SF_WEIGHED], *covariance = w->B;
-    const sf_real *chance = belief->chance;
+    sf_real means[SF_MODES * SF_WEIGHED], chance[SF_MODES], pull[SF_JUDGED], *with = w->A, *turned = w->B, all = 0;
+    for (int j = 0; j < SF_MODES; j++) all += chance[j] = sf_published(m, belief, j) ? belief->chance[j] : 0;
     memset(out->mean, 0, (size_t)M * sizeof(sf_real));
     memset(out->covariance, 0, (size_t)(M * M) * sizeof(sf_real));
     memset(out->undetermined, 0, (size_t)K * sizeof(sf_real));
     for (int j = 0; j < SF_MODES; j++) {
-        sf_compared *d = &w->compared[j];
-        sf_posterior(c, d, chance[j], w, means + j * M, covariance, M);
+        const sf_compared *d = &w->compared[j];
+        const sf_real *P = belief->covariance + j * N * N;
+        sf_real *mean = means + j * M;
+        if (!(chance[j] > 0)) continue;
+        chance[j] /= all;
+        sf_pull(c, d, w, pull, w->R);
         for (int i = 0; i < J; i++)
-            for (int k = 0; k < i; k++) covariance[k * M + i] = covariance[i * M + k];
-        sf_follow_drift(c, d, belief->mean + j * N, belief->covariance + j * N * N, N, w, means + j * M, covariance, M);
-        for (int i = 0; i < M; i++) sf_add(out->covariance + i * M, chance[j], covariance + i * M, i + 1);
-        sf_add(out->mean, chance[j], means + j * M, M);
-        for (int i = 0; i < K; i++) {
+            for (int k = 0; k < M; k++) with[i * M + k] = w->per_std[i] * P[i * N + k];
+        sf_multiply(turned, w->R, with, J, J, M);
+        sf_copy(mean, belief->mean + j * N, M);
+        sf_add_rows(mean, -1, pull, 1, with, M, J, M);
+        for (int i = 0; i < M; i++) {
+            sf_real row[SF_WEIGHED];
+            sf_copy(row, P + i * N, M);
+            sf_add_rows(row, -1, turned + i, M, with, M, J, sf_rounded(i + 1, M));
+            sf_add(out->covariance + i * M, chance[j], row, i + 1);
+            if (i >= K) continue;
             sf_real prior = 0;
-            for (int which = 0; which < 16; which++) prior += d->weight[which] / w->inverse[which / 4 * J + i];
-            out->undetermined[i] += chance[j] * (covariance[i * M + i] / prior);
+            for (int which = 0; which < 16; which++) {
+                sf_real own = w->own[which / 4 * J + i];
+                prior += d->weight[which] * (own / (1 + own));
+            }
+            out->undetermined[i] += chance[j] * (row[i] / (prior * w->std[i] * w->std[i]));
         }
+        sf_add(out->mean, chance[j], mean, M);
     }
     for (int j = 0; j < SF_MODES; j++) {
         sf_real *apart = means + j * M;
+        if (!(chance[j] > 0)) continue;
         for (int i = 0; i < M; i++) apart[i] -= out->mean[i];
         for (int i = 0; i < M; i++) sf_add(out->covariance + i * M, chance[j] * apart[i], apart, i + 1);
     }
-    for (int i = 0; i < M; i++) {
-        sf_real by = i < J ? w->std[i] : 1;
-        out->mean[i] = (sf_real)(i < K) + by * out->mean[i];
-        for (int k = 0; k <= i; k++) out->covariance[i * M + k] *= by * (k < J ? w->std[k] : 1);
-        if (i < K) out->undetermined[i] = sf_clip(out->undetermined[i], 0, 1);
-    }
+    for (int i = 0; i < K; i++) out->undetermined[i] = sf_clip(out->undetermined[i], 0, 1);
     sf_mirror(out->covariance, M);
 }
 
@@ -1293,7 +1132,7 @@ SF_API sf_real sf_followed_rate(const sf_moment_config *m, const sf_tares *s, co
 SF_API int sf_learn_tare(const sf_config *c, const sf_moment_config *m, sf_modes *belief, const int *channels, int count,
                          const sf_real *reading, const sf_real *asked, const sf_real *variance, sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), good = 1, mass = sf_momenta(c, m) - 2;
-    sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], *predicted = w->A;
+    sf_real innovation[SF_CHANNELS], S[SF_CHANNELS * SF_CHANNELS], *predicted = w->A, square, size;
     for (int j = 0; count && j < SF_MODES; j++) {
         sf_real *mean = belief->mean + j * N, *P = belief->covariance + j * N * N;
         memset(predicted, 0, (size_t)(count * N) * sizeof(sf_real));
@@ -1312,7 +1151,7 @@ SF_API int sf_learn_tare(const sf_config *c, const sf_moment_config *m, sf_modes
                 S[k * count + l] = row[i] * reading[l] + row[K + i] + row[2 * K + i];
                 if (k == l) S[k * count + l] += variance[k];
             }
-        good = sf_moment_update(mean, P, N, count, predicted, innovation, S, mass, mass + 1, w->B) && good;
+        good = sf_moment_update(mean, P, N, count, predicted, innovation, S, mass, mass + 1, w->B, &square, &size) && good;
     }
     return good;
 }
@@ -1462,13 +1301,11 @@ SF_API void sf_age(const sf_config *c, const sf_moment_config *m, sf_moment_stat
     s->time += duration;
 }
 
-/* MomentFilter._weigh: hold what modes are about against all severities, in w->compared. but: a mode which stays as
-   it was compared last, or -1. */
-SF_API int sf_weigh(const sf_config *c, const sf_moment_config *m, const sf_modes *s, int but, sf_moment_work *w) {
-    int N = sf_states(c, m), good = 1;
-    for (int j = 0; j < SF_MODES; j++)
-        if (j != but) good = sf_compare(c, m, s->mean + j * N, s->covariance + j * N * N, N, w, &w->compared[j]) && good;
-    return good;
+/* MomentFilter._weigh: hold what a mode is about against severities, in w->compared: all, or those with weight in `of`. */
+SF_API int sf_weigh(const sf_config *c, const sf_moment_config *m, const sf_modes *s, int mode, const sf_compared *of,
+                    sf_moment_work *w) {
+    int N = sf_states(c, m);
+    return sf_compare(c, s->mean + mode * N, s->covariance + mode * N * N, N, of, w, &w->compared[mode]);
 }
 
 /* MomentFilter.retract: take back what was learnt of late. */
@@ -1521,7 +1358,7 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
     }
     sf_repeat_tares(c, m, s, w);
     sf_priors(c, m, s->drifted, first, w);
-    sf_weigh(c, m, &s->belief, -1, w);
+    for (int j = 0; j < SF_MODES; j++) sf_weigh(c, m, &s->belief, j, NULL, w);
     sf_moment_publish(c, m, &s->belief, w, &s->published);
     sf_map_covariance(c, m, &s->published, rate, s->covariance);
     sf_copy_known(c, m, &s->kept, &s->belief, &s->published, &s->tare);
@@ -1622,7 +1459,7 @@ SF_API sf_real sf_factor(const sf_moment_config *m, const sf_real *S, const sf_r
     for (int i = 0; std && i < K; i++)
         for (int r = 0; std[i] != 0 && r < C; r++)
             for (int k = 0; k < C; k++) L[r * C + k] += reach[r * K + i] * std[i] * (reach[k * K + i] * std[i]);
-    if (!sf_cholesky(L, C)) return (sf_real)NAN;
+    if (!sf_cholesky(L, C, C)) return (sf_real)NAN;
     for (int r = 0; r < C; r++) size += sf_log(L[r * C + r]);
     return size;
 }
@@ -1910,7 +1747,7 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
 SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                         int n, const sf_real *published, int *rejected, sf_real *nis) {
     int follows = s->linked && s->track.adrift < m->leg_time;
-    int N = sf_states(c, m), likeliest = 0, good, guilty;
+    int N = sf_states(c, m), likeliest = 0, good = 1, guilty;
     sf_moment_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
     sf_priors(c, m, s->drifted, published, w);
@@ -1927,20 +1764,27 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
     }
     if (!follows || *rejected) {
         sf_begin_momentum(c, m, rows, belief);
-        good = sf_weigh(c, m, belief, -1, w);
+        for (int j = 0; j < SF_MODES; j++) good = sf_weigh(c, m, belief, j, NULL, w) && good;
     } else {
         sf_real before[SF_MODES], after[SF_MODES];
         sf_taught taught;
         sf_mix(c, m, belief, rows, &w->mixed);
-        good = sf_weigh(c, m, &w->mixed, -1, w);
-        for (int j = 0; j < SF_MODES; j++) before[j] = w->compared[j].evidence;
+        for (int j = 0; j < SF_MODES; j++) {
+            if (j == m->held) continue; /* it learns nothing of its sensors */
+            good = sf_weigh(c, m, &w->mixed, j, NULL, w) && good;
+            before[j] = w->compared[j].evidence;
+        }
         good = good && sf_moment_learn(c, m, &w->mixed, w, &taught);
-        /* A robot that is held teaches nothing. */
-        good = good && sf_weigh(c, m, &w->mixed, m->mode_load[m->held] > 0 ? -1 : m->held, w);
-        for (int j = 0; good && j < SF_MODES; j++)
-            after[j] = taught.likelihood[j] + w->compared[j].evidence - before[j];
+        for (int j = 0; good && j < SF_MODES; j++) {
+            after[j] = taught.likelihood[j];
+            if (j == m->held) continue;
+            good = sf_weigh(c, m, &w->mixed, j, &w->compared[j], w);
+            after[j] += w->compared[j].evidence - before[j];
+        }
         if (!good || !sf_all_finite(after, SF_MODES)) return SF_SINGULAR;
         sf_weigh_modes(m, after, w->mixed.chance);
+        if (sf_published(m, &w->mixed, m->held))
+            good = sf_weigh(c, m, &w->mixed, m->held, NULL, w);
         *nis = taught.nis;
         belief = &w->mixed;
         good = sf_all_finite(belief->mean, SF_MODES * N) && sf_all_finite(belief->covariance, SF_MODES * N * N);

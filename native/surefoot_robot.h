@@ -270,97 +270,37 @@ SF_API void sf_multiply(sf_real *out, const sf_real *A, const sf_real *B, int ro
         sf_add_rows(out + i * columns, 1, A + i * inner, 1, B, columns, inner, columns);
 }
 
-/* Overwrite the upper half of a positive definite A with U, A = U' U; returns 0 if it is none. What is below is lost. */
-SF_API int sf_cholesky(sf_real *A, int n) {
+/* Overwrite the upper half of a positive definite A with U, A = U' U; returns 0 if it is none. What is below is lost. Rows
+   have `wide` numbers: what stands behind A becomes U'^-1 of that. */
+SF_API int sf_cholesky(sf_real *A, int n, int wide) {
     for (int i = 0; i < n; i++) {
-        sf_real *row = A + i * n;
+        sf_real *row = A + i * wide;
         int from = i / 8 * 8; /* so that rows are of whole registers */
-        sf_add_rows(row + from, -1, A + i, n, A + from, n, i, n - from);
+        sf_add_rows(row + from, -1, A + i, wide, A + from, wide, i, wide - from);
         if (!(row[i] > 0) || !sf_finite(row[i])) return 0;
         sf_real by = 1 / sf_sqrt(row[i]);
-        for (int j = from; j < n; j++) row[j] *= by;
+        for (int j = from; j < wide; j++) row[j] *= by;
     }
     return 1;
 }
 
-/* Overwrite B, shape (n, columns), with (U' U)^-1 B: U'^-1 B first, and U^-1 of that. */
-SF_API void sf_solve(const sf_real *U, int n, sf_real *B, int columns) {
-    for (int step = 0; step < 2 * n; step++) {
-        int back = step >= n, i = back ? 2 * n - 1 - step : step;
-        sf_real *row = B + i * columns, by = 1 / U[i * n + i];
-        if (back) sf_add_rows(row, -1, U + i * n + i + 1, 1, row + columns, columns, n - i - 1, columns);
-        else sf_add_rows(row, -1, U + i, n, B, columns, i, columns);
+/* Overwrite B, shape (n, columns), with U^-1 B, for U of rows of `wide` numbers. */
+SF_API void sf_solve_back(const sf_real *U, int n, int wide, sf_real *B, int columns) {
+    for (int i = n - 1; i >= 0; i--) {
+        sf_real *row = B + i * columns, by = 1 / U[i * wide + i];
+        sf_add_rows(row, -1, U + i * wide + i + 1, 1, row + columns, columns, n - i - 1, columns);
         for (int j = 0; j < columns; j++) row[j] *= by;
     }
 }
 
-/* Eigenvalues and eigenvectors (rows of `axes`) of a symmetric A, which is overwritten; returns 0 without an
-   answer. Householder's reflections make it tridiagonal, implicit steps with Wilkinson's shift diagonal
-   (Golub & Van Loan, Matrix Computations, sections 8.3.1 and 8.3.3). room: for 3 n numbers. */
-SF_API int sf_eigen(sf_real *A, int n, sf_real *values, sf_real *axes, sf_real *room) {
-    sf_real *beside = room, *v = room + n, *w = room + 2 * n;
-    memset(axes, 0, (size_t)(n * n) * sizeof(sf_real));
-    for (int i = 0; i < n; i++) axes[i * n + i] = 1;
-    for (int k = 0; k + 1 < n; k++) {
-        sf_real below = 0;
-        for (int i = k + 2; i < n; i++) below += A[i * n + k] * A[i * n + k];
-        beside[k] = A[(k + 1) * n + k];
-        if (!(below > 0)) continue;
-        sf_real length = sf_sqrt(below + beside[k] * beside[k]), alpha = beside[k] > 0 ? -length : length;
-        for (int i = k + 1; i < n; i++) v[i] = A[i * n + k];
-        v[k + 1] -= alpha;
-        sf_real beta = 2 / (below + v[k + 1] * v[k + 1]), half = 0;
-        for (int i = k + 1; i < n; i++) {
-            w[i] = beta * sf_dot(A + i * n + k + 1, v + k + 1, n - k - 1);
-            half += v[i] * w[i];
-        }
-        half *= beta / 2;
-        for (int i = k + 1; i < n; i++) w[i] -= half * v[i];
-        for (int i = k + 1; i < n; i++) {
-            sf_real *row = A + i * n;
-            for (int j = k + 1; j < n; j++) row[j] = row[j] - v[i] * w[j] - w[i] * v[j];
-        }
-        memset(w, 0, (size_t)n * sizeof(sf_real));
-        sf_add_rows(w, 1, v + k + 1, 1, axes + (k + 1) * n, n, n - k - 1, n);
-        for (int i = k + 1; i < n; i++) sf_add(axes + i * n, -beta * v[i], w, n);
-        beside[k] = alpha;
+/* Overwrite B, shape (n, columns), with (U' U)^-1 B. */
+SF_API void sf_solve(const sf_real *U, int n, int wide, sf_real *B, int columns) {
+    for (int i = 0; i < n; i++) {
+        sf_real *row = B + i * columns, by = 1 / U[i * wide + i];
+        sf_add_rows(row, -1, U + i, wide, B, columns, i, columns);
+        for (int j = 0; j < columns; j++) row[j] *= by;
     }
-    for (int i = 0; i < n; i++) values[i] = A[i * n + i];
-
-    for (int last = n - 1, tries = 30 * n; last > 0;) {
-        int first = last;
-        while (first > 0 && sf_fabs(beside[first - 1]) >
-                                SF_EPSILON * (sf_fabs(values[first - 1]) + sf_fabs(values[first])))
-            first--;
-        if (first == last) {
-            last--;
-            continue;
-        }
-        if (tries-- == 0) return 0;
-        sf_real gap = (values[last - 1] - values[last]) / 2, square = beside[last - 1] * beside[last - 1];
-        sf_real root = sf_sqrt(gap * gap + square), shift = values[last] - square / (gap + (gap < 0 ? -root : root));
-        sf_real x = values[first] - shift, z = beside[first];
-        for (int k = first; k < last; k++) {
-            sf_real r = sf_sqrt(x * x + z * z), cosine = r > 0 ? x / r : 1, sine = r > 0 ? z / r : 0;
-            sf_real a = values[k], b = beside[k], d = values[k + 1];
-            if (k > first) beside[k - 1] = r;
-            values[k] = cosine * cosine * a + 2 * cosine * sine * b + sine * sine * d;
-            values[k + 1] = sine * sine * a - 2 * cosine * sine * b + cosine * cosine * d;
-            beside[k] = cosine * sine * (d - a) + (cosine * cosine - sine * sine) * b;
-            if (k + 1 < last) {
-                x = beside[k];
-                z = sine * beside[k + 1];
-                beside[k + 1] *= cosine;
-            }
-            sf_real *one = axes + k * n, *two = one + n;
-            for (int i = 0; i < n; i++) {
-                sf_real before = one[i];
-                one[i] = cosine * before + sine * two[i];
-                two[i] = cosine * two[i] - sine * before;
-            }
-        }
-    }
-    return 1;
+    sf_solve_back(U, n, wide, B, columns);
 }
 
 SF_API void sf_cross(sf_real *out, const sf_real *a, const sf_real *b) {
@@ -557,12 +497,12 @@ SF_API void sf_others(const sf_config *c, const sf_channel_faults *s, sf_real *o
             L[i * K + j] = moment * (1 - s->lost[i]) * (1 - s->lost[j]) + (i == j) * s->lost[i];
             precision[i * K + j] = i == j;
         }
-    if (!sf_cholesky(L, K)) { /* never while the floor holds; nothing then follows from nothing */
+    if (!sf_cholesky(L, K, K)) { /* never while the floor holds; nothing then follows from nothing */
         memset(others, 0, (size_t)(K * K) * sizeof(sf_real));
         for (int i = 0; i < K; i++) spread[i] = c->weight;
         return;
     }
-    sf_solve(L, K, precision, K);
+    sf_solve(L, K, K, precision, K);
     for (int i = 0; i < K; i++) {
         sf_real own = precision[i * K + i], variance = 1 / own, there = 1 - s->lost[i];
         for (int j = 0; j < K; j++)

@@ -162,7 +162,7 @@ SF_API void sf_window_stand(const sf_config *c, const sf_window_config *w, sf_wi
         sf_copy(work->A, stand->information, n * n);
         sf_copy(work->gradient, stand->gradient, n);
         for (int i = 0; i < n; i++) work->A[i * n + i] += 1;
-        if (sf_cholesky(work->A, n)) sf_solve(work->A, n, work->gradient, 1);
+        if (sf_cholesky(work->A, n, n)) sf_solve(work->A, n, n, work->gradient, 1);
         for (int i = 0; i < 2 * K; i++) {
             int part = i >= K;
             sf_real shift = work->gradient[i] * w->deviation[part];
@@ -277,8 +277,8 @@ SF_API int sf_gauss_newton(const sf_config *c, const sf_window_config *w, const 
             H[i * M + i] += 1;
         }
         if (!(trace < (sf_real)0.01 / SF_EPSILON)) return 0;
-        if (!sf_cholesky(H, M)) g[0] = (sf_real)NAN; /* beyond all numbers */
-        else sf_solve(H, M, g, 1);
+        if (!sf_cholesky(H, M, M)) g[0] = (sf_real)NAN; /* beyond all numbers */
+        else sf_solve(H, M, M, g, 1);
         for (int i = 0; i < M; i++) g[i] *= w->spread[i >= K];
         sf_shorten(c, g, w->step_bound);
         sf_add(theta, -1, g, M);

@@ -146,7 +146,6 @@ def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
         "tare_leap": tares.LEAP,
         "touch_load": tares.TOUCH,
         "near": severity.NEAR,
-        "least_share": severity.LEAST_SHARE,
     }
     parts = core, core.config, core.columns, core.blocks, core.spread, core.model
     return own, *parts, stream, model, tares, still, severity, columns, health, modes, motion, suspects
