@@ -37,7 +37,7 @@ COP_WIDTH: Final = 0.08
 
 
 class ExerciseEnv(BipedEnv):
-    """Calibration exercises of a biped under position control; docs/exercise.md has the tables.
+    """Calibration exercises of a biped under position control; docs/exercise.md says more.
 
     A step lasts 0.02 s. The action is a residual on the targets of the leg motors, zero for the exercise
     alone; observations have :class:`~surefoot.envs.NaoEnv`'s keys, and so have reward and ``info``. The
