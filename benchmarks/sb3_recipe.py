@@ -1,4 +1,4 @@
-"""Train by the recipe of docs/vector.md, whose code is run as it stands there, and compare with nobody.
+"""Train by the recipe of examples/sb3_balance.py, and compare with nobody.
 
     python benchmarks/sb3_recipe.py --steps 100000 --seeds 3
 
@@ -7,6 +7,7 @@ pushes and ground, of seeds that no training had and on which nothing was tuned;
 """
 
 import argparse
+import runpy
 import time
 from pathlib import Path
 from typing import Any
@@ -14,17 +15,9 @@ from typing import Any
 import numpy as np
 import torch
 
-PAGE = Path(__file__).parents[1] / "docs" / "vector.md"
+RECIPE = Path(__file__).parents[1] / "examples" / "sb3_balance.py"
 EVALUATION_SEED = 40_000
 REWARD_SCALE = 0.05  # of the recipe
-
-
-def recipe() -> dict[str, Any]:
-    """Names that the page's code for Stable-Baselines3 defines."""
-    section = PAGE.read_text(encoding="utf-8").partition("\n## Stable-Baselines3\n")[2]
-    names: dict[str, Any] = {"__name__": "recipe"}
-    exec(section.partition("```python\n")[2].partition("```")[0], names)
-    return names
 
 
 def play(venv: Any, model: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -51,7 +44,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=32)
     asked = parser.parse_args()
     torch.set_num_threads(1)  # small networks are faster on one
-    names = recipe()
+    names = runpy.run_path(str(RECIPE))
     print(
         "| | return | std | falls | more than nobody (95 %) | CPU s of training |\n|---|---|---|---|---|---|"
     )

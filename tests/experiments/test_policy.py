@@ -247,14 +247,6 @@ def test_the_commands(trained, tmp_path):
     assert "There is no feed 'sand'" in answer.output
 
 
-def test_the_example_wraps_trains_and_compares(load_script):
-    example = load_script("examples/train_balance.py")
-    env = example.on_drifting_feet(example.CALIBRATED, **SHORT)
-    total = example.mean_return(None, env, [4])
-    assert total == pytest.approx(example.mean_return(None, example.on_true_feet(**SHORT), [4]))
-    assert len(Path(example.__file__).read_text().splitlines()) < 100
-
-
 WALK = TrainOptions(task="walk", steps=16, environments=1, rollout=8, batch=8, epochs=1, every=2, hidden=8)
 WALKED = {"speeds": (0.04,), "stand_time": 0.5, "duration": 1.0, "payload_time": (0.1, 0.2)}
 

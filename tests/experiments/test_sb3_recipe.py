@@ -1,7 +1,7 @@
-"""The recipe for Stable-Baselines3 in docs/vector.md: what is seen and commanded; that it trains."""
+"""The recipe for Stable-Baselines3 in examples/: what is seen and commanded; that it trains."""
 
+from collections.abc import Callable
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +12,12 @@ SHORT = {"duration": 0.3, "stand_time": 0.1, "payload_time": (0.05, 0.1)}
 
 
 @pytest.fixture(scope="module")
-def names(benchmark_script: Any) -> dict[str, Any]:
-    script: ModuleType = benchmark_script("sb3_recipe")
-    return script.recipe()
+def recipe(load_script: Callable[[str], ModuleType]) -> ModuleType:
+    return load_script("examples/sb3_balance.py")
 
 
-def test_postures_move_after_the_stand_and_begin_anew_with_an_episode(names: dict[str, Any]) -> None:
-    venv = names["robots"](2, **SHORT)
+def test_postures_move_after_the_stand_and_begin_anew_with_an_episode(recipe: ModuleType) -> None:
+    venv = recipe.robots(2, **SHORT)
     venv.seed(0)
     seen = venv.reset()
     full, moved = np.ones((2, 4)), []
@@ -38,8 +37,8 @@ def test_postures_move_after_the_stand_and_begin_anew_with_an_episode(names: dic
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:SelfCalibration has learnt nothing")  # in episodes of 0.3 s nobody can
-def test_it_trains(names: dict[str, Any]) -> None:
-    model = names["ppo"](names["robots"](2, **SHORT))
+def test_it_trains(recipe: ModuleType) -> None:
+    model = recipe.ppo(recipe.robots(2, **SHORT))
     before = model.policy.action_net.weight.detach().clone()
     model.learn(1024)
     assert not np.allclose(before, model.policy.action_net.weight.detach())
