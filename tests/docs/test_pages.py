@@ -23,7 +23,6 @@ from typer.testing import CliRunner
 
 import surefoot
 from surefoot.calibration import GRAVITY, Reference, calibrate_in_situ, nao_shoe_layout
-from surefoot.calibration.moment.config import Moment
 from surefoot.experiments.cli.app import app
 from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.force_torque.export import write_json
@@ -224,14 +223,6 @@ def test_what_is_named_exists(page: Path) -> None:
         )
         slugs = [re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings]
         assert not anchor or anchor in slugs, f"{path}#{anchor}"
-
-
-def test_options_of_the_moment_filter_have_the_defaults_that_the_page_says() -> None:
-    page = (ROOT / "docs" / "which-calibrator.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+)[^|]* \| [^|]+ \|$", page, re.MULTILINE)
-    assert len(rows) == 12
-    config = Moment()
-    assert all(getattr(config, name) == float(default) for name, default in rows)
 
 
 def test_messages_of_the_troubleshooting_page_are_those_of_the_code() -> None:

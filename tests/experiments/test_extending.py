@@ -56,7 +56,7 @@ def cells_of(page: str) -> list[str]:
 def own(tmp_path, monkeypatch):
     """A user's module that nobody has imported yet: its path. What it registers is forgotten afterwards."""
     path = tmp_path / "my_feet.py"
-    path.write_text(cells_of("7-method.md")[0] + PRESET)
+    path.write_text(cells_of("6-method.md")[0] + PRESET)
     monkeypatch.syspath_prepend(tmp_path)
     importlib.invalidate_caches()
     yield path
@@ -201,7 +201,7 @@ def test_a_calibrators_name_must_be_free(own):
 def test_a_drawing_is_enough_for_a_robot(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    drawing, words, _, task = cells_of("8-robot.md")
+    drawing, words, _, task = cells_of("7-robot.md")
     exec(drawing, names)
     with contextlib.redirect_stdout(io.StringIO()) as said:
         exec(words, names)
