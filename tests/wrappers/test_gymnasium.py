@@ -1,7 +1,4 @@
-"""What Gymnasium and Stable-Baselines3 ask of any environment, asked of ours by their own functions.
-
-docs/wrappers.md lists what of Gymnasium's published tests does not apply, and why.
-"""
+"""What Gymnasium and Stable-Baselines3 ask of any environment, asked of ours by their own functions."""
 
 import pickle
 import warnings
