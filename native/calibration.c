@@ -125,7 +125,7 @@ static const place places[] = {
     PARTS(moment_state, kept_next_tare_, next.tare., "whole", followed),
     PARTS(moment_state, kept_, , "real", age),
     {"moment_work", "numbers", "", 0, sizeof(sf_moment_work)}, /* of which nobody reads one */
-    FIELDS(model, "int", bodies, hinges, parent, hinge_body, site_body),
+    FIELDS(model, "int", bodies, hinges, parent, hinge_body, turned, along, away, site_body),
     FIELDS(model, "real", place, R_parent_body, anchor, axis, zero, mass, com, inertia, position_site, R_body_site),
     FIELDS(timing, "int", averaged, joined, needed, window, feet, points, rolls),
     FIELDS(timing, "real", dt, gravity, leg_time, tilt_rate, zero_offset, bias_time, touch, corners, radius),

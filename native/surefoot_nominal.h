@@ -34,6 +34,9 @@ typedef struct {
     int bodies, hinges;
     int parent[SF_BODIES];
     int hinge_body[SF_HINGES];    /* in the order of angles, which is that of bodies */
+    int turned[SF_BODIES];        /* whether R_parent_body is another than 1: most are not read */
+    int along[SF_HINGES];         /* the axis of the body that a hinge lies along, -1 for none of the three */
+    int away[SF_HINGES];          /* whether its anchor is away from the body's origin */
     int site_body[1 + SF_FEET];   /* of the IMU and the soles, as many as sf_timing has feet */
     sf_real place[SF_BODIES * 3]; /* of a body's frame in its parent's, hinges at their zero, in m */
     sf_real R_parent_body[SF_BODIES * 9];
@@ -63,13 +66,12 @@ SF_API sf_real sf_square(const sf_real *a) { return a[0] * a[0] + a[1] * a[1] + 
 /* ------------------------------------------------------------------------------------------------ nominal */
 
 /* out = R turned on by an angle about a unit vector in its own axes (Rodrigues), and `a`, that vector in those around
-   it; out may be R. */
-SF_API void sf_turn_on(sf_real *out, const sf_real *R, const sf_real *axis, sf_real *a, sf_real sine, sf_real cosine) {
-    int k = axis[0] == 1 ? 0 : axis[1] == 1 ? 1 : 2, i = (k + 1) % 3, j = (k + 2) % 3;
-    int plain = axis[k] == 1 && axis[i] == 0 && axis[j] == 0; /* most hinges lie along one of the axes */
+   it; k: number of the axis that it lies along, as most do, or -1; out may be R. */
+SF_API void sf_turn_on(sf_real *out, const sf_real *R, int k, const sf_real *axis, sf_real *a, sf_real sine, sf_real cosine) {
+    int i = (k + 1) % 3, j = (k + 2) % 3;
     for (int r = 0; r < 3; r++, out += 3, R += 3) {
         sf_real x = R[0], y = R[1], z = R[2], u = R[i], v = R[j];
-        if (plain) {
+        if (k >= 0) {
             out[k] = a[r] = R[k];
             out[i] = cosine * u + sine * v;
             out[j] = cosine * v - sine * u;
@@ -111,25 +113,22 @@ SF_API void sf_evaluate(const sf_model *m, int feet, const sf_real *angle, const
         const sf_real *axes = level; /* so far */
         if (i > 0) {
             int from = m->parent[i];
-            const sf_real *own = m->R_parent_body + 9 * i;
             axes = R + 9 * from;
             for (int k = 0; k < 3; k++) at[k] = p[3 * from + k], speed[k] = v[3 * from + k], turn[k] = w[3 * from + k];
             sf_reach(at, speed, axes, turn, 1, m->place + 3 * i);
-            /* Most lie along their parent's. */
-            if (!(own[0] == 1 && own[4] == 1 && own[1] == 0 && own[2] == 0 && own[5] == 0)) {
-                sf_then(turned, axes, own);
+            if (m->turned[i]) {
+                sf_then(turned, axes, m->R_parent_body + 9 * i);
                 axes = turned;
             }
         }
         for (; hinge < m->hinges && m->hinge_body[hinge] == i; hinge++) {
             /* The anchor stays where it is; what turns about it is the frame. */
             const sf_real *anchor = m->anchor + 3 * hinge;
-            int apart = sf_square(anchor) > 0;
-            if (apart) sf_reach(at, speed, axes, turn, 1, anchor);
-            sf_turn_on(Ri, axes, m->axis + 3 * hinge, a, sine[hinge], cosine[hinge]);
+            if (m->away[hinge]) sf_reach(at, speed, axes, turn, 1, anchor);
+            sf_turn_on(Ri, axes, m->along[hinge], m->axis + 3 * hinge, a, sine[hinge], cosine[hinge]);
             axes = Ri;
             for (int k = 0; k < 3; k++) turn[k] += a[k] * rate[hinge];
-            if (apart) sf_reach(at, speed, axes, turn, -1, anchor);
+            if (m->away[hinge]) sf_reach(at, speed, axes, turn, -1, anchor);
         }
         if (axes != Ri) sf_copy(Ri, axes, 9);
         for (int k = 0; k < 3; k++) p[3 * i + k] = at[k], v[3 * i + k] = speed[k], w[3 * i + k] = turn[k];

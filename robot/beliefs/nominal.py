@@ -208,15 +208,20 @@ class NominalModel:
         turned, seen_from = model.jnt_bodyid[hinges].tolist(), model.site_bodyid[self._sites].tolist()
         if model.jnt_bodyid[0] != self._torso or not {*turned, *seen_from} <= place.keys():
             return None
-        principal = _rotations(model.body_iquat[bodies])
+        principal, axis = _rotations(model.body_iquat[bodies]), model.jnt_axis[hinges]
+        R_parent_body, anchor = _rotations(model.body_quat[bodies]), model.jnt_pos[hinges]
+        straight = (np.abs(axis).sum(axis=1) == 1.0) & (axis.max(axis=1, initial=0.0) == 1.0)
         return {
             "parent": np.array([0] + [place[model.body_parentid[body]] for body in bodies[1:]]),
             "hinge_body": np.array([place[body] for body in turned], dtype=int),
             "site_body": np.array([place[body] for body in seen_from]),
+            "turned": (R_parent_body != np.eye(3)).any(axis=(1, 2)),
+            "along": np.where(straight, axis.argmax(axis=1), -1),
+            "away": anchor.any(axis=1),
             "place": model.body_pos[bodies],
-            "R_parent_body": _rotations(model.body_quat[bodies]),
-            "anchor": model.jnt_pos[hinges],
-            "axis": model.jnt_axis[hinges],
+            "R_parent_body": R_parent_body,
+            "anchor": anchor,
+            "axis": axis,
             "zero": model.qpos0[model.jnt_qposadr[hinges]],
             "mass": model.body_mass[bodies],
             "com": model.body_ipos[bodies],
