@@ -155,8 +155,8 @@ typedef struct {
     sf_real std[SF_JUDGED], per_std[SF_JUDGED], own[SF_SEVERITIES * SF_JUDGED]; /* of priors */
     sf_real ahead[16]; /* logarithms of how likely severities are, and of what a measurement finds at first */
     sf_real A[SF_STATES * SF_STATES], B[SF_STATES * SF_STATES], R[SF_JUDGED * SF_JUDGED];
-    sf_real F[SF_CHANNELS * SF_CHANNELS], one[SF_CHANNELS * SF_CHANNELS], X[SF_CHANNELS * (SF_CHANNELS + 1)];
-    sf_real S[4 * SF_CHANNELS * (SF_CHANNELS + 1)], U[SF_CHANNELS * (SF_JUDGED + 1)], found[16 * SF_JUDGED];
+    sf_real S[4 * SF_CHANNELS * (SF_CHANNELS + 1)], T[4 * SF_CHANNELS * SF_CHANNELS], G[4 * SF_CHANNELS * SF_CHANNELS];
+    sf_real F[4 * SF_CHANNELS * SF_CHANNELS], X[4 * SF_CHANNELS * (SF_CHANNELS + 1)], found[16 * SF_JUDGED];
     sf_real unit[SF_BLOCK * SF_COMPONENTS * SF_CHANNELS], force[SF_BLOCK * SF_CHANNELS];
     sf_publication published;
 } sf_moment_work;
@@ -785,6 +785,22 @@ SF_API void sf_factor_quads(sf_real *A, int n, int wide, int lanes, sf_real prod
     }
 }
 
+/* Four T = U'^-1 and G = (U' U)^-1 = T' T, shape (n, n), their lower halves, of U as sf_factor_quads leaves them. */
+SF_API void sf_invert_quads(const sf_real *U, int n, int wide, int lanes, sf_real *T, sf_real *G) {
+    memset(T, 0, (size_t)(4 * n * n) * sizeof(sf_real));
+    memset(G, 0, (size_t)(4 * n * n) * sizeof(sf_real));
+    for (int i = 0; i < n; i++) {
+        sf_real *row = T + 4 * i * n;
+        const sf_real *own = U + 4 * (i * wide + i);
+        sf_add_quads(row, -1, U + 4 * i, 4 * wide, T, 4 * n, i, i, lanes);
+        for (int k = 0; k < i; k++)
+            for (int l = 0; l < lanes; l += SF_WIDE) *sf_at(row + 4 * k + l) *= *sf_from(own + l);
+        sf_copy(row + 4 * i, own, 4);
+    }
+    for (int i = 0; i < n; i++)
+        sf_add_quads(G + 4 * i * n, 1, T + 4 * (i * n + i), 4 * n, T + 4 * i * n, 4 * n, n - i, i + 1, lanes);
+}
+
 /* Severity._compare for one mode: hold all severities against the data, or those alone that have weight in `of`. What
    all severities of scales share is done once: with A, B and C of scales, both and offsets in P, U' U = C + E, W = U'^-1
    [B, off], and V' V = A - W' W + E of scales, y = V'^-1 of what is left of their means. Rows hold all of this. */
@@ -852,56 +868,56 @@ SF_API int sf_compare(const sf_config *c, const sf_real *mean, const sf_real *P,
     return 1;
 }
 
-/* weight * (U' U)^-1, of U of rows of `wide` numbers */
-SF_API void sf_weighted_inverse(const sf_real *U, int n, int wide, sf_real weight, sf_real *out) {
-    memset(out, 0, (size_t)(n * n) * sizeof(sf_real));
-    for (int i = 0; i < n; i++) out[i * n + i] = weight;
-    sf_solve(U, n, wide, out, n);
-}
-
-/* One of four U, of n rows of `wide` numbers. */
-SF_API void sf_take_lane(sf_real *U, const sf_real *quads, int n, int wide) {
-    for (int i = 0; i < n * wide; i++) U[i] = quads[4 * i];
-    for (int i = 0; i < n; i++) U[i * wide + i] = 1 / U[i * wide + i];
-}
-
 /* What measuring the start does to one mode under all severities together: the mean of all (P + E)^-1 (x - x0), and R,
    with which the mixture's covariance is P - P R P. With F = (V' V)^-1 and X = U^-1 W that is of [F, -F X'; -X F,
    (C + E)^-1 + X F X'], less the covariance of what pulls. */
 SF_API void sf_pull(const sf_config *c, const sf_compared *d, sf_moment_work *w, sf_real *pull, sf_real *R) {
     int K = c->channels, M = 2 * K, wide = K + 1, both = M + 1;
-    sf_real *F = w->F, *one = w->one, *found = w->found, *X = w->X, *U = w->U;
+    sf_real *T = w->T, *G = w->G, *F = w->F, *X = w->X, *S = w->S, *found = w->found, sum[4] = {0, 0, 0, 0};
     memset(pull, 0, (size_t)M * sizeof(sf_real));
     memset(R, 0, (size_t)(M * M) * sizeof(sf_real));
+    memset(F, 0, (size_t)(4 * K * K) * sizeof(sf_real));
+    memset(S, 0, (size_t)(4 * K * wide) * sizeof(sf_real));
+    sf_invert_quads(d->U, K, both, 4, T, G);
+    for (int i = 0; i < K; i++)
+        sf_add_quads(S + 4 * i * wide, 1, T + 4 * (i * K + i), 4 * K, d->U + 4 * (i * both + K), 4 * both, K - i, wide, 4);
+    for (int n = 0; n < d->count; n++) sum[d->pair[n] % 4] += d->weight[d->pair[n]];
     for (int l = 0; l < 4; l++) {
-        sf_real sum = 0;
-        for (int which = l; which < 16; which += 4) sum += d->weight[which];
-        if (!(sum > 0)) continue;
-        sf_take_lane(U, d->U + d->place[l], K, both);
-        for (int i = 0; i < K; i++) sf_copy(X + i * wide, U + i * both + K, wide);
-        sf_solve_back(U, K, both, X, wide);
-        sf_weighted_inverse(U, K, both, sum, one);
+        const sf_real *own = G + d->place[l];
+        if (!(sum[l] > 0)) continue;
+        for (int i = 0; i < K * wide; i++) X[l * K * wide + i] = S[4 * i + d->place[l]];
         for (int i = 0; i < K; i++)
-            for (int k = 0; k <= i; k++) R[(K + i) * M + K + k] += one[i * K + k];
-        memset(F, 0, (size_t)(K * K) * sizeof(sf_real));
-        for (int n = 0; n < d->count; n++) {
-            int which = d->pair[n];
-            sf_real weight = d->weight[which], *own = found + which * M;
-            if (which % 4 != l || !(weight > 0)) continue;
-            sf_take_lane(U, d->V + n / 4 * 4 * K * wide + n % 4, K, wide);
-            for (int i = 0; i < K; i++) own[i] = U[i * wide + K];
-            sf_solve_back(U, K, wide, own, 1);
-            for (int i = 0; i < K; i++) own[K + i] = X[i * wide + K] - sf_dot(X + i * wide, own, K);
+            for (int k = 0; k <= i; k++) R[(K + i) * M + K + k] += sum[l] * own[4 * (i * K + k)];
+    }
+    for (int group = 0; group < d->count; group += 4) {
+        const sf_real *V = d->V + group * K * wide;
+        sf_real scale[4 * SF_CHANNELS] = {0}; /* V^-1 y */
+        sf_invert_quads(V, K, wide, 4, T, G);
+        for (int i = 0; i < K; i++)
+            sf_add_quads(scale + 4 * i, 1, T + 4 * (i * K + i), 4 * K, V + 4 * (i * wide + K), 4 * wide, K - i, 1, 4);
+        for (int p = 0; p < 4 && group + p < d->count; p++) {
+            int which = d->pair[group + p];
+            sf_real weight = d->weight[which], *own = found + which * M, *to = F + which % 4 * K * K;
+            const sf_real *back = X + which % 4 * K * wide;
+            if (!(weight > 0)) continue;
+            for (int i = 0; i < K; i++) own[i] = scale[4 * i + p];
+            for (int i = 0; i < K; i++) own[K + i] = back[i * wide + K] - sf_dot(back + i * wide, own, K);
             sf_add(pull, weight, own, M);
-            sf_weighted_inverse(U, K, wide, weight, one);
-            sf_add(F, 1, one, K * K);
+            for (int i = 0; i < K; i++)
+                for (int k = 0; k <= i; k++) to[i * K + k] += weight * G[4 * (i * K + k) + p];
         }
+    }
+    for (int l = 0; l < 4; l++) {
+        const sf_real *back = X + l * K * wide;
+        sf_real *own = F + l * K * K;
+        if (!(sum[l] > 0)) continue;
+        sf_mirror(own, K);
         for (int i = 0; i < K; i++) {
             sf_real *row = R + (K + i) * M, turned[SF_CHANNELS] = {0};
-            sf_add(R + i * M, 1, F + i * K, K);
-            sf_add_rows(turned, 1, X + i * wide, 1, F, K, K, K);
+            sf_add(R + i * M, 1, own + i * K, K);
+            sf_add_rows(turned, 1, back + i * wide, 1, own, K, K, K);
             sf_add(row, -1, turned, K);
-            for (int k = 0; k <= i; k++) row[K + k] += sf_dot(turned, X + k * wide, K);
+            for (int k = 0; k <= i; k++) row[K + k] += sf_dot(turned, back + k * wide, K);
         }
     }
     for (int which = 0; which < 16; which++) {
