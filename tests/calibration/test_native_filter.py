@@ -313,7 +313,7 @@ def test_garbage_does_no_harm_in_single_precision(single, fuzzer, tmp_path, layo
         ),
     ],
 )
-def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, layout, method):
+def test_a_state_is_half_as_large_in_single_precision(library, tmp_path, monkeypatch, layout, method):
     monkeypatch.setattr(CALIBRATION, "installed", lambda: library)
     (tmp_path / "robot.h").write_text(c_source(setup_of(layout), method))
     state, begun, fits = {
@@ -337,9 +337,8 @@ def test_a_state_is_as_large_as_the_page_says(library, tmp_path, monkeypatch, la
     for flags in ([], ["-DSF_SINGLE"]):
         compile_program(tmp_path / "size.c", tmp_path / "size", "-O0", *flags)
         done = subprocess.run([tmp_path / "size"], capture_output=True, check=True)
-        sizes.append(f"{int(done.stdout):,} bytes")
-    page = ROOT / "docs" / "native.md"
-    assert not page.exists() or " | ".join(sizes) in page.read_text()
+        sizes.append(int(done.stdout))
+    assert sizes[1] < 0.6 * sizes[0]
     if plus := shutil.which("c++"):
         strict = ("-std=c++20", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "-I", FOLDER)
         subprocess.run([plus, "-x", "c++", *strict, tmp_path / "size.c"], check=True)
