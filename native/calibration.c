@@ -94,7 +94,7 @@ static const place places[] = {
         tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_tared, largest_sum, touch_load,
         spread_scale, spread_offset),
     FIELDS(moment_config, "real", level_time, least_still),
-    FIELDS(moment_config, "real", unit, severities, likely, near, wide, least_narrower, most_load, least_row,
+    FIELDS(moment_config, "real", unit, severities, likely, wide, least_narrower, most_load, least_row,
         reading_noise),
     FIELDS(moment_config, "real", mode_time, mode_force, mode_torque, mode_load, mode_shift, rates, first_chance,
         least_chance, least_published),

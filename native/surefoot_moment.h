@@ -55,7 +55,7 @@ typedef struct {
     sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_tared, largest_sum, touch_load;
     sf_real level_time, least_still;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
-    sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], near[2], wide, least_narrower;
+    sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, least_narrower;
     sf_real most_load, least_row, reading_noise;
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, least_published;
@@ -721,14 +721,12 @@ SF_API int sf_published(const sf_moment_config *m, const sf_modes *s, int mode) 
 /* ----------------------------------------------------------------------------------------------- severity */
 
 /* Severity.prior: standard deviations of the wide prior, and in these the variances with which others measure the start
-   besides: of scales by the severity of scales, of offsets by theirs. scale: as published last. */
-SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, sf_real drifted, const sf_real *scale,
-                      sf_moment_work *w) {
+   besides: of scales by the severity of scales, of offsets by theirs. */
+SF_API void sf_priors(const sf_config *c, const sf_moment_config *m, sf_real drifted, sf_moment_work *w) {
     int K = c->channels, M = 2 * K;
     sf_real square = m->wide * m->wide, size[2][SF_SEVERITIES], stated[SF_JUDGED], wide[SF_JUDGED];
     for (int i = 0; i < K; i++) {
-        sf_real near = sf_clip(scale[i], m->near[0], m->near[1]);
-        stated[i] = (m->spread_scale[i] + drifted) * near * near * near, stated[K + i] = m->spread_offset[i];
+        stated[i] = m->spread_scale[i] + drifted, stated[K + i] = m->spread_offset[i];
         wide[i] = square * m->spread_scale[i] + drifted, wide[K + i] = square * m->spread_offset[i];
     }
     for (int i = 0; i < M; i++) w->std[i] = sf_sqrt(wide[i]), w->per_std[i] = 1 / w->std[i];
@@ -1356,10 +1354,9 @@ SF_API void sf_repeat_tares(const sf_config *c, const sf_moment_config *m, sf_mo
 SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_real rate,
                             sf_moment_work *w) {
     int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c, m) - 2;
-    sf_real first[SF_CHANNELS];
     sf_break(c, m, s);
     memset(&s->suspects, 0, sizeof s->suspects);
-    for (int i = 0; i < K; i++) s->suspects.known[i] = first[i] = 1;
+    for (int i = 0; i < K; i++) s->suspects.known[i] = 1;
     for (int r = 0; r < m->components; r++) s->suspects.noise[r] = 1;
     memset(s->belief.mean, 0, (size_t)(SF_MODES * N) * sizeof(sf_real));
     memset(s->belief.covariance, 0, (size_t)(SF_MODES * N * N) * sizeof(sf_real));
@@ -1373,7 +1370,7 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
         s->belief.chance[j] = m->first_chance[j];
     }
     sf_repeat_tares(c, m, s, w);
-    sf_priors(c, m, s->drifted, first, w);
+    sf_priors(c, m, s->drifted, w);
     for (int j = 0; j < SF_MODES; j++) sf_weigh(c, m, &s->belief, j, NULL, w);
     sf_moment_publish(c, m, &s->belief, w, &s->published);
     sf_map_covariance(c, m, &s->published, rate, s->covariance);
@@ -1766,7 +1763,7 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
     int N = sf_states(c, m), likeliest = 0, good = 1, guilty;
     sf_moment_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
-    sf_priors(c, m, s->drifted, published, w);
+    sf_priors(c, m, s->drifted, w);
     if (follows) {
         sf_real step[3], ahead;
         for (int k = 0; k < 3; k++) step[k] = rows->point[k] - s->point[k];
@@ -1799,11 +1796,10 @@ SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment
         }
         if (!good || !sf_all_finite(after, SF_MODES)) return SF_SINGULAR;
         sf_weigh_modes(m, after, w->mixed.chance);
-        if (sf_published(m, &w->mixed, m->held))
-            good = sf_weigh(c, m, &w->mixed, m->held, NULL, w);
+        if (sf_published(m, &w->mixed, m->held)) good = sf_weigh(c, m, &w->mixed, m->held, NULL, w);
         *nis = taught.nis;
         belief = &w->mixed;
-        good = sf_all_finite(belief->mean, SF_MODES * N) && sf_all_finite(belief->covariance, SF_MODES * N * N);
+        good = good && sf_all_finite(belief->mean, SF_MODES * N) && sf_all_finite(belief->covariance, SF_MODES * N * N);
     }
     if (!good) return SF_SINGULAR;
     if (!s->linked) {

@@ -137,7 +137,7 @@ class MomentFilter:
             means.append(mean)
             covariances.append(covariance)
         belief = Belief(np.stack(means), np.stack(covariances), FIRST_CHANCE.copy())
-        published = self._weigh(belief, 0.0, self._first_mean).publish(belief.chance)
+        published = self._weigh(belief, 0.0).publish(belief.chance)
         zero = np.zeros(self._channels)
         tare = TareState(zero, zero, np.full(feet, -1.0), FIRST_RATE, 0)
         resting = np.asarray(self.setup.initial.scale) * front.raw + np.asarray(self.setup.initial.offset)
@@ -215,7 +215,7 @@ class MomentFilter:
         """Know nothing but the readings' faults and what feet in the air showed."""
         fresh = self.init(state.front.raw)
         belief = self.tare.repeat(fresh.belief, state.tare, state.time, faults.lost)
-        published = self._weigh(belief, 0.0, self._first_mean).publish(belief.chance)
+        published = self._weigh(belief, 0.0).publish(belief.chance)
         return self.blocks.break_off(state)._replace(
             faults=faults,
             belief=belief,
@@ -282,10 +282,10 @@ class MomentFilter:
                 return self.repairs.repair(self.retract(state), wrong), np.nan, 0.0
             rejected = abs(ahead) > 0.5 * LARGEST_ERROR * block.duration
         if follows and not rejected:
-            belief, weighed, nis = self._update(belief, rows, block.duration, state.drifted, published)
+            belief, weighed, nis = self._update(belief, rows, block.duration, state.drifted)
         else:
             belief = begin_momentum(belief, rows, self.columns)
-            weighed, nis = self._weigh(belief, state.drifted, published), np.nan
+            weighed, nis = self._weigh(belief, state.drifted), np.nan
         if not (np.isfinite(belief.mean).all() and np.isfinite(belief.covariance).all()):
             state = state._replace(linked=0, status=int(Flag.SINGULAR))
             return self._rest(state, block, good=False), np.nan, 0.0
@@ -325,13 +325,13 @@ class MomentFilter:
         return state, belief, wrong, float(ahead)
 
     def _update(
-        self, belief: Belief, rows: Rows, duration: float, drifted: float, published: Array
+        self, belief: Belief, rows: Rows, duration: float, drifted: float
     ) -> tuple[Belief, Weighed, float]:
         """Update all modes by a block; return the posterior, its severities, and the NIS."""
         mixed = mix(belief, rows, self.columns, duration, self.config.mass_std)
         step = learn(mixed, rows, self.columns, duration)
-        before = self._severity.evidence(mixed.mean, mixed.covariance, drifted, published[self.columns.scale])
-        weighed = self._weigh(step.belief, drifted, published)
+        before = self._severity.evidence(mixed.mean, mixed.covariance, drifted)
+        weighed = self._weigh(step.belief, drifted)
         chance = weigh_modes(mixed.chance, step.likelihood + weighed.evidence - before)
         return step.belief._replace(chance=chance), weighed, step.nis
 
@@ -364,9 +364,9 @@ class MomentFilter:
         lasting: Array = product + longest * (state.faults.spare_std / self.setup.weight) ** 2
         return lasting
 
-    def _weigh(self, belief: Belief, drifted: float, published: Array) -> Weighed:
+    def _weigh(self, belief: Belief, drifted: float) -> Weighed:
         """Weigh all severities in each mode."""
-        return self._severity.weigh(belief.mean, belief.covariance, drifted, published[self.columns.scale])
+        return self._severity.weigh(belief.mean, belief.covariance, drifted)
 
     def _map_covariance(self, published: Publication, rate: float) -> Array:
         """Return the covariance of (a, b) while a map is applied, of sensors that drift at a rate."""

@@ -8,9 +8,7 @@ this measurement finds, by the one that it had at first:
     K = P (P + E)^-1,    m = x - K (x - x0),    V = P - K P,    evidence = N(x0; x, P + E) / N(x0; x0, P0 + E)
 
 exactly so for sensors that stay as they are. No prior is wider than the filter's own. The mixture of all of
-them is published. Sensors are rated by how many readings a unit of force gives, g, and a scale is a = 1/g:
-the prior of g, N(1, s^2), is over a as steep as N(1, s^2 a^3), which is the prior of a scale, with a as it
-was published last. Drift u since the start has one prior for all: the tares say how fast sensors drift, and
+them is published. Drift u since the start has one prior for all: the tares say how fast sensors drift, and
 zeros that stay say nothing of how far off they started. It follows from scales and offsets as the filter has
 it.
 """
@@ -36,13 +34,9 @@ FIRST_RATE = float(np.sqrt(np.dot(LIKELY, np.square(SEVERITIES))))
 """How many times faster than stated sensors are thought to drift before any tare has shown it: the root mean
 square over how bad they may be."""
 
-NEAR = (0.5, 2.0)
-"""Scales between which a scale's prior follows it: there each step from prior to posterior and back is
-shorter than the one before (0.75 (a - 1) / a of it, where data and prior are as sure)."""
-
 LEAST_NARROWER = 1e-9
-"""By what share of the wide prior's inverse variance that of another prior is larger at least: a scale of
-twice its stated value, three severities off, would have a prior wider than the filter's."""
+"""By what share of the wide prior's inverse variance that of another prior is larger at least: scales of
+neglected sensors that have drifted for hours would have a prior wider than the filter's."""
 
 LEAST_PUBLISHED = 1e-3
 """Chance from which on a mode is published: on 61 recordings those below it change standard deviations by
@@ -83,40 +77,35 @@ class Severity:
         )
         self._likely = np.log([LIKELY[i] * LIKELY[j] for i, j in pairs])
 
-    def prior(self, drifted: float, published: Array) -> Array:
+    def prior(self, drifted: float) -> Array:
         """Return the variances of scales and offsets under all severities, shape (S, 2K).
 
         Args:
             drifted: Variance that scales have drifted by.
-            published: The scales that were published last, shape (K,).
         """
-        spread, skew = self._spread, np.clip(published, *NEAR) ** 3
-        parts = (
-            np.outer(self._of_scale, (spread.scale + drifted) * skew),
-            np.outer(self._of_offset, spread.offset),
-        )
-        return np.minimum(np.concatenate(parts, axis=1), self._wide(drifted) / (1.0 + LEAST_NARROWER))
+        scale, offset = self._spread.scale + drifted, self._spread.offset
+        parts = np.outer(self._of_scale, scale), np.outer(self._of_offset, offset)
+        return np.minimum(np.hstack(parts), self._wide(drifted) / (1.0 + LEAST_NARROWER))
 
     def _wide(self, drifted: float) -> Array:
         """Return the variances of scales and offsets under the filter's own prior, shape (2K,)."""
         spread = self._spread
         return np.concatenate([WIDE**2 * spread.scale + drifted, WIDE**2 * spread.offset])
 
-    def evidence(self, mean: Array, covariance: Array, drifted: float, published: Array) -> Array:
+    def evidence(self, mean: Array, covariance: Array, drifted: float) -> Array:
         """Return the evidence alone, as of :class:`Weighed`, shape (J,); arguments as of :meth:`weigh`."""
-        return _total(self._compare(mean, covariance, drifted, published).evidence)
+        return _total(self._compare(mean, covariance, drifted).evidence)
 
-    def weigh(self, mean: Array, covariance: Array, drifted: float, published: Array) -> Weighed:
+    def weigh(self, mean: Array, covariance: Array, drifted: float) -> Weighed:
         """Return the posteriors under all severities together.
 
         Args:
             mean: The filter's unknowns, shape (J, N).
             covariance: Theirs, shape (J, N, N).
             drifted: As of :meth:`prior`.
-            published: As of :meth:`prior`.
         """
         of, known = self._of, self._columns.map
-        std, prior, pull, inverse, evidence = self._compare(mean, covariance, drifted, published)
+        std, prior, pull, inverse, evidence = self._compare(mean, covariance, drifted)
         weight = np.exp(evidence - evidence.max(axis=1, keepdims=True))
         weight = weight / weight.sum(axis=1, keepdims=True)
         parts = [combine(*one) for one in zip(weight, pull, -inverse, strict=True)]
@@ -132,9 +121,9 @@ class Severity:
             undetermined=np.diagonal(found, axis1=1, axis2=2)[:, :K] / (weight @ prior)[:, :K],
         )
 
-    def _compare(self, mean: Array, covariance: Array, drifted: float, published: Array) -> "_Compared":
+    def _compare(self, mean: Array, covariance: Array, drifted: float) -> "_Compared":
         """Hold all severities against the data; arguments as of :meth:`weigh`."""
-        of, prior, wide = self._of, self.prior(drifted, published), self._wide(drifted)
+        of, prior, wide = self._of, self.prior(drifted), self._wide(drifted)
         std, own = np.sqrt(wide), 1.0 / (wide / prior - 1.0)
         expected = (covariance[:, of, of] / np.outer(std, std))[:, None] + own[:, None] * np.eye(len(std))
         off = (mean[:, of] - self._start) / std

@@ -145,7 +145,6 @@ def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
         "tare_surprise": tares.LARGEST_SURPRISE,
         "tare_leap": tares.LEAP,
         "touch_load": tares.TOUCH,
-        "near": severity.NEAR,
     }
     parts = core, core.config, core.columns, core.blocks, core.spread, core.model
     return own, *parts, stream, model, tares, still, severity, columns, health, modes, motion, suspects

@@ -150,10 +150,9 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
     H = np.zeros((6, columns.size))
     H[:, of] = rng.normal(size=(6, of.stop)) * np.sqrt(first_variance(columns, spread, CONFIG)[of])
     y, R = 0.5 * rng.normal(size=6), 0.01 * np.eye(6)
-    drifted, published = 1e-4, rng.uniform(0.3, 3.0, LAYOUT.channels)
-    priors = severity.prior(drifted, published)
-    spread_scale = (spread.scale + drifted) * np.clip(published, 0.5, 2.0) ** 3
-    np.testing.assert_allclose(priors[1, : LAYOUT.channels], SEVERITIES[0] ** 2 * spread_scale)
+    drifted = 1e-4
+    priors = severity.prior(drifted)
+    np.testing.assert_allclose(priors[1, : LAYOUT.channels], SEVERITIES[0] ** 2 * (spread.scale + drifted))
 
     def posterior(prior):
         mean, covariance = first_mean(columns), np.diag(first_variance(columns, spread, CONFIG))
@@ -167,7 +166,7 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
 
     wide = np.concatenate([25.0 * spread.scale + drifted, 25.0 * spread.offset])
     mean, covariance, widely = posterior(wide)
-    found = severity.weigh(mean[None], covariance[None], drifted, published)
+    found = severity.weigh(mean[None], covariance[None], drifted)
     means, covariances, chances = [], [], []
     for prior, likely in zip(priors, np.outer(LIKELY, LIKELY).ravel(), strict=True):
         mean, covariance, likelihood = posterior(prior)
@@ -189,9 +188,7 @@ def test_the_posterior_under_other_priors_is_that_of_a_filter_that_began_with_th
 def test_without_data_all_is_undetermined():
     columns, spread = Columns.of(LAYOUT), Spread.of(setup(), CONFIG)
     covariance = np.diag(first_variance(columns, spread, CONFIG))
-    found = Severity(columns, spread).weigh(
-        first_mean(columns)[None], covariance[None], 0.0, np.ones(LAYOUT.channels)
-    )
+    found = Severity(columns, spread).weigh(first_mean(columns)[None], covariance[None], 0.0)
     assert found.evidence[0] == pytest.approx(0.0, abs=1e-9)
     found = found.publish(np.ones(1))
     np.testing.assert_allclose(found.undetermined, 1.0)
