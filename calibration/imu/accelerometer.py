@@ -10,7 +10,7 @@ and K is taken **upper triangular** with a positive diagonal. The corrected vect
 whose z axis is measured by the z channel alone and whose yz plane holds the y channel's axis. Any rotation of
 that frame against another sensor is for those who hold the two together.
 
-The start is the best sphere, which is linear in its coefficients; then the distances of the readings from the
+The start is algebraic, linear in the coefficients of the quadric; then the distances of the readings from the
 ellipsoid are minimised, to first order :math:`(|K (f - b)| - g) / |K^T u|` with the corrected direction u.
 They have the noise of the readings whatever K is. The error of the size, :math:`|K (f - b)| - g`, has not: a
 smaller K makes it smaller, and where orientations hardly separate a scale from a bias (a hip that swings by
@@ -57,6 +57,7 @@ _LEAST_SPREAD = 1e-4
 _OUTLIER = 5.0  # deviations beyond which a sample counts as moved
 _CONVERGED = 1e-15  # relative change at which the last fit ends
 
+_FLAT = 0.05  # least eigenvalue of a quadric of trace 3 at or below which it is no ellipsoid to start from
 _UNIT = (0.5, 2.0)  # between these the median size of the readings must lie, over gravity
 
 _CURE = "Rest the accelerometer on further sides, such as all six of a cube and some between them."
@@ -132,7 +133,7 @@ def calibrate_accelerometer(
     unknowns = _UNKNOWNS[model]
     force, dropped = _read_samples(specific_force, gravity, unknowns, minimum_spread)
     solved, kept = _fit_ellipsoid(force, unknowns)
-    back, singular = _determine(solved.jac, model, tolerance)
+    back, singular = _determine(_slopes(solved.x, kept), model, tolerance)
     bias, K = _unpack(solved.x)
     square = float(np.sum(solved.fun**2))
     free = len(kept) - unknowns
@@ -172,6 +173,26 @@ def _distances(theta: Floats, force: Floats) -> Floats:
     return np.asarray((size - 1.0) / np.linalg.norm(corrected / size[:, None] @ K, axis=1))
 
 
+def _slopes(theta: Floats, force: Floats) -> Floats:
+    """Return the slopes of the distances by the unknowns, shape (n, p)."""
+    bias, K = _unpack(theta)
+    d = force - bias
+    corrected = d @ K.T
+    a = np.maximum(np.linalg.norm(corrected, axis=1, keepdims=True), _TINY)
+    u = corrected / a
+    v = u @ K  # K'u, the slope of a = |K d| by the reading
+    s = np.linalg.norm(v, axis=1, keepdims=True)
+    q = v @ K.T
+    entries = len(theta) - _BIAS.stop
+    i, j = _ROWS[:entries], _COLUMNS[:entries]
+    # For a change w of K d, a changes by u'w and s by (q'w - s^2 u'w) / (a s); K_ij turns v itself as well.
+    of_a = np.hstack([-v, u[:, i] * d[:, j]])
+    of_q = np.hstack([-q @ K, q[:, i] * d[:, j]])
+    of_v = np.hstack([np.zeros_like(d), u[:, i] * v[:, j]])
+    of_s = ((of_q - s**2 * of_a) / a + of_v) / s
+    return np.asarray(of_a / s - (a - 1.0) / s**2 * of_s)
+
+
 def _spread_of(residual: Floats, unknowns: int) -> float:
     """Return the standard deviation of the residuals, which outliers do not move."""
     lost = np.sqrt(len(residual) / (len(residual) - unknowns))
@@ -187,7 +208,7 @@ def _fit_ellipsoid(force: Floats, unknowns: int) -> tuple[Any, Floats]:
     # fewer, none counts as moved.
     still = np.abs(_distances(start, force)) <= _OUTLIER * scale
     kept = force[still] if len(force) > 2 * unknowns else force
-    plain: dict[str, Any] = {"jac": "3-point", "xtol": _CONVERGED, "ftol": _CONVERGED, "gtol": _CONVERGED}
+    plain: dict[str, Any] = {"jac": _slopes, "xtol": _CONVERGED, "ftol": _CONVERGED, "gtol": _CONVERGED}
     return least_squares(_distances, start, args=(kept,), **plain), kept
 
 
@@ -195,13 +216,10 @@ def _robust_start(force: Floats, unknowns: int) -> tuple[Floats, float]:
     """Fit with Huber's loss; return unknowns and the scale of residuals, or refuse a moving sensor."""
     from scipy.optimize import least_squares
 
-    # |f|^2 = 2 b'f + const: a sphere about b of any radius.
-    basis = np.column_stack([2.0 * force, np.ones(len(force))])
-    sphere, *_ = np.linalg.lstsq(basis, np.sum(force**2, axis=1), rcond=None)
-    start = np.concatenate([sphere[_BIAS], np.eye(3)[_ROWS, _COLUMNS]])[:unknowns]
+    start = _algebraic_start(force, unknowns)
     scale = _spread_of(_distances(start, force), unknowns)
     for _ in range(_ROUNDS):
-        robust: dict[str, Any] = {"jac": "3-point", "loss": "huber", "f_scale": _HUBER * scale}
+        robust: dict[str, Any] = {"jac": _slopes, "loss": "huber", "f_scale": _HUBER * scale}
         start = least_squares(_distances, start, args=(force,), **robust).x
         last, scale = scale, _spread_of(_distances(start, force), unknowns)
         if abs(scale - last) <= _SETTLED * last:
@@ -213,6 +231,36 @@ def _robust_start(force: Floats, unknowns: int) -> tuple[Floats, float]:
             "Give samples at rest only, and check the unit or take a model with a scale.",
         )
     return start, scale
+
+
+def _algebraic_start(force: Floats, unknowns: int) -> Floats:
+    """Return unknowns by a linear fit of a quadric, or of a sphere if that is no ellipsoid."""
+    x, y, z = force.T
+    square = np.sum(force**2, axis=1)
+    # |f|^2 = 2 b'f + const: a sphere about b of any radius.
+    sphere, *_ = np.linalg.lstsq(np.column_stack([2.0 * force, np.ones(len(force))]), square, rcond=None)
+    theta = np.concatenate([sphere[_BIAS], np.eye(3)[_ROWS, _COLUMNS]])[:unknowns]
+    if unknowns == 3:
+        return theta
+    # f'Qf - 2 q'f + const = 0 with trace Q = 3; its terms beside |f|^2 are spread by what is no sphere.
+    terms = [x**2 - z**2, y**2 - z**2, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z]
+    if unknowns == 6:
+        terms = terms[:2]
+    basis = np.column_stack([*terms, 2.0 * force, np.ones(len(force))])
+    solution, *_ = np.linalg.lstsq(basis, square, rcond=None)
+    form = np.zeros(6)
+    form[: len(terms)] = -solution[: len(terms)]
+    u, v, xy, xz, yz, _ = form
+    Q = np.array([[1.0 + u, xy, xz], [xy, 1.0 + v, yz], [xz, yz, 1.0 - u - v]])
+    linear, constant = solution[len(terms) : len(terms) + 3], solution[-1]
+    if np.linalg.eigvalsh(Q)[0] <= _FLAT:
+        return theta
+    centre = np.linalg.solve(Q, linear)
+    # The mean of (f - centre)'Q (f - centre), by the normal equations: positive.
+    square_radius = constant + linear @ centre
+    # Q / radius^2 = K'K; Cholesky gives the upper factor.
+    K = np.linalg.cholesky(Q / square_radius).T
+    return np.concatenate([centre, K[_ROWS, _COLUMNS]])[:unknowns]
 
 
 def _determine(jacobian: Floats, model: str, tolerance: float) -> tuple[Floats, Floats]:

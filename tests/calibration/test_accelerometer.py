@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.imu import calibrate_accelerometer
+from surefoot.calibration.imu.accelerometer import _algebraic_start
 from surefoot.calibration.in_situ import estimate_offset
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
@@ -81,6 +82,20 @@ def test_perfect_readings_are_left_alone(model):
     rng = np.random.default_rng(2)
     true = random_gravity(rng, 30, G)
     np.testing.assert_allclose(calibrate_accelerometer(true, model=model).correct(true), true, atol=1e-9)
+
+
+@pytest.mark.parametrize("unknowns", [6, 9])
+def test_a_quadric_that_is_no_ellipsoid_starts_from_a_sphere(unknowns):
+    rng = np.random.default_rng(12)
+    angle, height = rng.uniform(0.0, 6.3, 50), rng.uniform(-1.0, 1.0, 50)
+    waist = np.sqrt(1.0 + height**2)
+    hyperboloid = np.stack([waist * np.cos(angle), waist * np.sin(angle), height], axis=-1)
+    start = _algebraic_start(hyperboloid, unknowns)
+    np.testing.assert_array_equal(start[3:], [1.0, 1.0, 1.0, 0.0, 0.0, 0.0][: unknowns - 3])
+    centred = hyperboloid - start[:3]
+    spread = np.std(np.sum(centred**2, axis=1))  # the best sphere has the least spread of squares
+    for axis in np.eye(3):
+        assert spread < np.std(np.sum((centred + 0.1 * axis) ** 2, axis=1))
 
 
 @pytest.mark.slow
