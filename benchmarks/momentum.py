@@ -28,6 +28,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -368,16 +369,19 @@ SHOWN = {"foot": "foot (mm)", "cell": "cell (%)", "nees": "NEES"}
 """Columns of the pages, of each method; NEES of those that claim a covariance."""
 
 
+def _mean_of_scene(scene: str, runs: Frame) -> str:
+    return "{foot:.2f} ({nees:.1f})".format(**runs.loc[runs["scene"] == scene, ["foot", "nees"]].mean())
+
+
+def _mean_of_method(method: str, key: str, runs: Frame) -> str:
+    return decimal(float(runs[runs["method"] == method][key].mean()), ".2f")
+
+
 def table_of_parts(scores: Frame) -> Table:
     """Return a table of a foot's error (mm) and NEES, a line a part that is left out, a column a scene."""
     columns: dict[str, Cell] = {
         "left out": lambda runs: str(runs["method"].iloc[0]).partition(" without ")[2] or "nothing",
-        **{
-            scene: lambda runs, scene=scene: "{foot:.2f} ({nees:.1f})".format(
-                **runs.loc[runs["scene"] == scene, ["foot", "nees"]].mean()
-            )
-            for scene in scores["scene"].unique()
-        },
+        **{scene: partial(_mean_of_scene, scene) for scene in scores["scene"].unique()},
     }
     parts = [part for _, part in scores.groupby("method", sort=False)]
     return table_of("parts", "Parts of moment, each left out in turn", columns, parts)
@@ -389,9 +393,7 @@ def table_of_feet(scores: Frame, seeds: int) -> Table:
         "scene": lambda runs: str(runs["scene"].iloc[0]),
         "seeds": lambda runs: str(seeds),
         **{
-            f"{method}: {SHOWN[key]}": lambda runs, method=method, key=key: decimal(
-                float(runs[runs["method"] == method][key].mean()), ".2f"
-            )
+            f"{method}: {SHOWN[key]}": partial(_mean_of_method, method, key)
             for key in SHOWN
             for method in scores["method"].unique()
             if key != "nees" or method == "moment"
