@@ -17,7 +17,8 @@ from surefoot.envs.instrumentation.made import Made, make
 from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
 from surefoot.envs.instrumentation.spec import Instrumentation, refuse_taken
-from surefoot.envs.instrumentation.swap import find_description, find_holder, find_notice, put_in, swap_in
+from surefoot.envs.instrumentation.swap import find_description, find_holder, put_in, swap_in
+from surefoot.envs.instrumentation.trial import find_notice
 
 
 class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -26,7 +27,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     Observation, reward and termination stay the environment's, bit for bit. Sensors are put into its model
     (``unwrapped.model`` and ``unwrapped.data`` are replaced), behind its own, if it does not notice: copies
     of it are stepped with and without them, and must show the same to the last bit
-    (:func:`~surefoot.envs.instrumentation.swap.find_notice`). Then every substep of a control step is read,
+    (:func:`~surefoot.envs.instrumentation.trial.find_notice`). Then every substep of a control step is read,
     from MuJoCo's own history of the sensors. An environment that would notice, or has no description of
     its model, stays as it is; the same quantities are computed beside it, **once a control step**, at its
     end. :attr:`untouched` says why, and a warning says so once.

