@@ -171,6 +171,11 @@ def count(table: Weighings, rows: Any, values: Any) -> Weighings:
     return dataclasses.replace(table, code=code)
 
 
+def weigh_off(table: Weighings, rng: np.random.Generator) -> Weighings:
+    row = int(rng.integers(len(table.code)))
+    return count(table, row, table.code[row, 0] + 5000)
+
+
 def exchange_labels(table: Weighings, rng: np.random.Generator) -> Weighings:
     a, b = rng.choice(np.unique(table.load), 2, replace=False)
     load = table.load
@@ -193,11 +198,7 @@ def weigh_in(factor: float) -> Callable[[Weighings, np.random.Generator], Weighi
 
 WEIGHING_SPOILERS: dict[str, tuple[set[str], bool, Callable[[Weighings, np.random.Generator], Weighings]]] = {
     "rail": ({"outliers"}, False, clip),
-    "off": (
-        {"outliers"},
-        False,
-        lambda table, rng: count(table, row := int(rng.integers(len(table.code))), table.code[row, 0] + 5000),
-    ),
+    "off": ({"outliers"}, False, weigh_off),
     "labels": ({"labels"}, True, exchange_labels),
     "dead": (
         {"dead cell"},

@@ -804,7 +804,7 @@ SF_API void sf_invert_quads(const sf_real *U, int n, int wide, int lanes, sf_rea
    [B, off], and V' V = A - W' W + E of scales, y = V'^-1 of what is left of their means. Rows hold all of this. */
 SF_API int sf_compare(const sf_config *c, const sf_real *mean, const sf_real *P, int N, const sf_compared *of,
                       sf_moment_work *w, sf_compared *d) {
-    int K = c->channels, M = 2 * K, wide = K + 1, both = M + 1, place[4], offsets[4], lanes = 0, count = 0;
+    int K = c->channels, M = 2 * K, wide = K + 1, both = M + 1, place[4] = {0}, offsets[4], lanes = 0, count = 0;
     sf_real evidence[16], size[4], product[4], found[4] = {0, 0, 0, 0}, *U = d->U, *S = w->S, best = -HUGE_VAL, total = 0;
     for (int l = 0; l < 4; l++) {
         int before = count;

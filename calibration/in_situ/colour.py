@@ -181,15 +181,7 @@ def likeliest_colour(
                 cost_of[0] -= worth
                 best[name] = int(np.argmin(cost_of))
                 cost = float(cost_of[best[name]] + (worth if best[name] == 0 else 0.0))
-        found.append(
-            (
-                cost
-                + sum(
-                    _PARAMETERS[name] * float(np.log(total * channels)) for name, at in best.items() if at > 0
-                ),
-                best,
-            )
-        )
+        found.append((cost + _penalty(best, total * channels), best))
     cost, best = min(found, key=lambda one: one[0])
     drift, hysteresis = (Part(*map(float, tried[name][best[name]])) for name in ("drift", "hysteresis"))
     return Colour(drift, hysteresis), cost + total * float(np.linalg.slogdet(overall)[1])
@@ -202,6 +194,10 @@ def _powers(grid: Matrix, frequency: Vector) -> Matrix:
     return np.asarray(
         slow * np.exp(exponent * np.log(np.maximum(corner, _NONE) / np.maximum(frequency, knee)))
     )
+
+
+def _penalty(best: dict[str, int], count: float) -> float:
+    return sum(_PARAMETERS[name] * float(np.log(count)) for name, place in best.items() if place > 0)
 
 
 def _bands(spectra: Sequence[Spectrum]) -> tuple[Vector, Vector, Matrix]:
