@@ -9,11 +9,11 @@ NumPy and SciPy; no simulator and no Gymnasium, so that it runs on a robot.
 """
 
 from surefoot.calibration.baselines import SwingTare
-from surefoot.calibration.bound import posterior_bound
 from surefoot.calibration.centroidal import ground_reference
 from surefoot.calibration.estimate import Estimate, Flag
+from surefoot.calibration.excitation.bound import posterior_bound
+from surefoot.calibration.excitation.plan import FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.calibration.foot_calibrator import FootCalibrator
-from surefoot.calibration.foot_excitation import FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.calibration.front_end.filters import zero_phase
 from surefoot.calibration.imu import calibrate_accelerometer, gravity_from_imu
 from surefoot.calibration.in_situ import InSituSet, InSituTracker, KnownLimb, calibrate_in_situ

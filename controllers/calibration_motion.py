@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.certainty import ENOUGH, Certainty
+from surefoot.calibration.excitation.certainty import ENOUGH, Certainty
 from surefoot.files import AnyPath, read_columns
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from surefoot.arrays import stack_rows
 from surefoot.calibration import FeetLayout, Parameters
-from surefoot.calibration.foot_excitation import FootExcitation, FootMotion, MovingRobot, plan_foot_excitation
+from surefoot.calibration.excitation.plan import FootExcitation, FootMotion, MovingRobot, plan_foot_excitation
 from surefoot.envs.exercise.env import ExerciseEnv
 from surefoot.envs.exercise.moves import list_motions
 from surefoot.envs.instrumentation.truth import FeetTruth

@@ -5,7 +5,7 @@ from typing import Any, SupportsFloat
 import gymnasium as gym
 import numpy as np
 
-from surefoot.calibration.certainty import ENOUGH, Certainty
+from surefoot.calibration.excitation.certainty import ENOUGH, Certainty
 from surefoot.wrappers.self_calibration import SelfCalibration
 
 TRIES = 3

@@ -8,10 +8,10 @@ so the fit is of the readings,
 over the errors D of a maker's matrix (or a response that nobody gave), the limb's inertial parameters and an
 offset for each set, each with its prior. One set or a hundred, at rest or moving, the
 way is the same: **data** that the accelerometer's own errors are taken off
-(:mod:`~surefoot.calibration.in_situ.imu`), sets
-**compressed** to a few rows each (:mod:`~surefoot.calibration.in_situ.compress`), one **solution** for every
-likely size of the maker's errors (:mod:`~surefoot.calibration.in_situ.maker`), findings that are **judged**
-in one place (:mod:`~surefoot.calibration.results`), and the answer. The paper's own regression is in
+(:mod:`~surefoot.calibration.in_situ.imu`), sets **compressed** to a few rows each
+(:mod:`~surefoot.calibration.in_situ.solver.compress`), one **solution** for every likely size of the maker's
+errors (:mod:`~surefoot.calibration.in_situ.maker`), findings that are **judged** in one
+place (:mod:`~surefoot.calibration.results`), and the answer. The paper's own regression is in
 :mod:`~surefoot.calibration.in_situ.paper`.
 """
 
@@ -27,7 +27,6 @@ from threadpoolctl import ThreadpoolController
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.causes import Evidence, find_causes, tell_causes
 from surefoot.calibration.in_situ.check import check_sets
-from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import (
     InSituOptions,
     InSituSet,
@@ -51,9 +50,10 @@ from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.imu import fit_sphere, level, likeliest_delay, smooth
 from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import AGED, KEPT, Leaning, lean, prior_of
-from surefoot.calibration.in_situ.problem import Problem, problem_of, starts
 from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
-from surefoot.calibration.in_situ.solve import Solution, minima
+from surefoot.calibration.in_situ.solver.compress import compress
+from surefoot.calibration.in_situ.solver.problem import Problem, problem_of, starts
+from surefoot.calibration.in_situ.solver.solve import Solution, minima
 from surefoot.calibration.results import CalibrationRefused, Finding, FitResult, decide
 
 _DELAYS, _SETTLED = 6, 1e-4  # fits at most until the delay of an IMU has settled, and its last step in s

@@ -26,7 +26,6 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration.arrays import orthonormal
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals, measure_repeated
-from surefoot.calibration.in_situ.compress import CompressedSet, change_signals
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
 from surefoot.calibration.in_situ.imu import add_turning
 from surefoot.calibration.in_situ.model import (
@@ -41,8 +40,9 @@ from surefoot.calibration.in_situ.model import (
     inertial_parameters,
     signals,
 )
-from surefoot.calibration.in_situ.problem import Problem, starts
-from surefoot.calibration.in_situ.solve import Solution, beside_channels, deviance, minima, solve
+from surefoot.calibration.in_situ.solver.compress import CompressedSet, change_signals
+from surefoot.calibration.in_situ.solver.problem import Problem, starts
+from surefoot.calibration.in_situ.solver.solve import Solution, beside_channels, deviance, minima, solve
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import Finding
 

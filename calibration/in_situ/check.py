@@ -10,9 +10,9 @@ from scipy.special import chdtri
 from surefoot.calibration.arrays import orthonormal
 from surefoot.calibration.imu.gravity_spread import gravity_spread
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
 from surefoot.calibration.in_situ.model import DIRECT, SPREAD_ROUNDING
+from surefoot.calibration.in_situ.solver.compress import CompressedSet
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused, Finding
 

@@ -2,9 +2,9 @@ r"""The covariance of an in-situ calibration, and the share of it that its data 
 
 With rows of variance one, :math:`z = J \theta + e`, the covariance is :math:`J^+ J^{+\prime}`. The rows are
 free of drift, and weighted by the hysteresis and the bending of the limb that their residuals still have
-(:mod:`~surefoot.calibration.in_situ.colour`). It is raised or lowered as far as the sets disagree with each
-other by more or less than that (Birge, 1932). Each other error is a column beside that root, in the order of
-the answer: (C row by row, the last set's offset at its end, m, m c).
+(:mod:`~surefoot.calibration.in_situ.solver.colour`). It is raised or lowered as far as the sets disagree with
+each other by more or less than that (Birge, 1932). Each other error is a column beside that root, in the
+order of the answer: (C row by row, the last set's offset at its end, m, m c).
 """
 
 from collections.abc import Sequence
@@ -14,12 +14,12 @@ import numpy as np
 
 from surefoot.calibration.arrays import ROUNDING, skew, triangle
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.fit import FitColumns
 from surefoot.calibration.in_situ.model import AXES, DIRECT, LEAST_LEVER, MASS, MOMENT, STATIC
-from surefoot.calibration.in_situ.problem import CREEPING, Law
-from surefoot.calibration.in_situ.solve import Solution
+from surefoot.calibration.in_situ.solver.compress import CompressedSet
+from surefoot.calibration.in_situ.solver.problem import CREEPING, Law
+from surefoot.calibration.in_situ.solver.solve import Solution
 from surefoot.calibration.results import Finding
 
 _BELIEVED = 4.0  # free rows that must speak of the noise along a signal to count for as much as its spectrum

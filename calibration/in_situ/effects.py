@@ -38,12 +38,18 @@ from scipy.signal import lfilter
 
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.colour import motion_frequency
 from surefoot.calibration.in_situ.covariance import share_deviations
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.model import AXES, DIRECT, MASS, MOMENT, signals
-from surefoot.calibration.in_situ.problem import CREEPING, Law, Problem
-from surefoot.calibration.in_situ.solve import Solution, beside_channels, beside_loads, criterion, follow
+from surefoot.calibration.in_situ.solver.colour import motion_frequency
+from surefoot.calibration.in_situ.solver.problem import CREEPING, Law, Problem
+from surefoot.calibration.in_situ.solver.solve import (
+    Solution,
+    beside_channels,
+    beside_loads,
+    criterion,
+    follow,
+)
 from surefoot.calibration.results import Finding
 
 _HALF_WIDTHS = 2.0 ** -np.arange(1.0, 9.0)  # half-widths of the plays, as shares of the largest amplitude

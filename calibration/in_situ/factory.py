@@ -12,8 +12,8 @@ from surefoot.calibration.in_situ.causes import penalise, rank, tell_causes
 from surefoot.calibration.in_situ.data import Matrix, Task, Vector
 from surefoot.calibration.in_situ.maker import log_evidence, log_prior
 from surefoot.calibration.in_situ.model import AXES, DIRECT, LEAST_LEVER, MASS, MOMENT, STATIC
-from surefoot.calibration.in_situ.problem import Problem, weigh_limb
-from surefoot.calibration.in_situ.solve import Solution, solve
+from surefoot.calibration.in_situ.solver.problem import Problem, weigh_limb
+from surefoot.calibration.in_situ.solver.solve import Solution, solve
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import Finding
 

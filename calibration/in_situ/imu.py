@@ -43,7 +43,7 @@ from surefoot.calibration.in_situ.model import (
     signals,
     transform_basis,
 )
-from surefoot.calibration.in_situ.solve import Solution, criterion
+from surefoot.calibration.in_situ.solver.solve import Solution, criterion
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import Finding
 

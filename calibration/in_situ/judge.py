@@ -22,8 +22,8 @@ from surefoot.calibration.in_situ.model import (
     STATIC,
     different_masses,
 )
-from surefoot.calibration.in_situ.problem import Problem, weigh_hanging
-from surefoot.calibration.in_situ.solve import Solution, expand
+from surefoot.calibration.in_situ.solver.problem import Problem, weigh_hanging
+from surefoot.calibration.in_situ.solver.solve import Solution, expand
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.calibration.results import CalibrationRefused, Finding
 

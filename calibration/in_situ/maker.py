@@ -22,8 +22,8 @@ import numpy as np
 from surefoot.calibration.arrays import ROUNDING, of_unit_length
 from surefoot.calibration.in_situ.data import Matrix, Task, Vector
 from surefoot.calibration.in_situ.model import AXES
-from surefoot.calibration.in_situ.problem import Maker, Problem
-from surefoot.calibration.in_situ.solve import Solution, expand, minima, solve
+from surefoot.calibration.in_situ.solver.problem import Maker, Problem
+from surefoot.calibration.in_situ.solver.solve import Solution, expand, minima, solve
 
 _SHARES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 """Sizes of a maker's errors that are tried, as shares of full scale."""

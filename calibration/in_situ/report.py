@@ -35,8 +35,8 @@ from surefoot.calibration.in_situ.judge import (
 )
 from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_of
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
-from surefoot.calibration.in_situ.problem import Problem
-from surefoot.calibration.in_situ.solve import Solution, solve
+from surefoot.calibration.in_situ.solver.problem import Problem
+from surefoot.calibration.in_situ.solver.solve import Solution, solve
 from surefoot.calibration.results import CalibrationRefused, Finding, FitResult, FitStats
 
 _MAKER = 0.02  # deviation of a factory matrix that is kept, as a share of full scale: sheets state 1 to 2 %

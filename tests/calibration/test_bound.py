@@ -9,7 +9,7 @@ from _moment import Errors, move
 from _synthetic import DT, LAYOUT, MASS, NOMINAL
 
 from surefoot.calibration import MomentumReference, OnlineSetup, Parameters, posterior_bound, replay
-from surefoot.calibration.bound import LogPassages, Passage
+from surefoot.calibration.excitation.bound import LogPassages, Passage
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.modes import update
 

@@ -12,9 +12,9 @@ from surefoot.calibration import (
     FootMotion,
     MovingRobot,
     Reference,
-    foot_excitation,
     plan_foot_excitation,
 )
+from surefoot.calibration.excitation import plan as planning
 
 SOLES = np.array([[0.0, WIDTH / 2, 0.0], [0.0, -WIDTH / 2, 0.0]])
 CELLS = np.concatenate(
@@ -70,7 +70,7 @@ def robot():
 @pytest.fixture(scope="module", autouse=True)
 def passages_once(robot):
     """Each motion's passages are worked out once: plans of one robot, with one setup, share them."""
-    made, work_out = {}, foot_excitation._passages_of
+    made, work_out = {}, planning._passages_of
 
     def recall(setup, motion, config):
         if id(motion) not in made:
@@ -78,7 +78,7 @@ def passages_once(robot):
         return made[id(motion)]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(foot_excitation, "_passages_of", recall)
+        patch.setattr(planning, "_passages_of", recall)
         yield
 
 

@@ -15,7 +15,7 @@ from surefoot.calibration.in_situ.calibrate import _gather_evidence
 from surefoot.calibration.in_situ.causes import _try_bending, _try_reading
 from surefoot.calibration.in_situ.covariance import _doublings
 from surefoot.calibration.in_situ.data import InSituOptions, Task, change_motion
-from surefoot.calibration.in_situ.solve import deviance, solve
+from surefoot.calibration.in_situ.solver.solve import deviance, solve
 from surefoot.calibration.results import CalibrationRefused
 
 

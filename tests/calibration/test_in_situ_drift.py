@@ -9,8 +9,8 @@ from _in_situ_stacked import wrench_of_gravity
 from scipy.stats import chi2
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, KnownLimb, calibrate_in_situ
-from surefoot.calibration.in_situ.colour import Colour, Part, Spectrum, likeliest_colour
-from surefoot.calibration.in_situ.compress import compress
+from surefoot.calibration.in_situ.solver.colour import Colour, Part, Spectrum, likeliest_colour
+from surefoot.calibration.in_situ.solver.compress import compress
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 

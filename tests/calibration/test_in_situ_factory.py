@@ -9,10 +9,10 @@ from _in_situ_leg import COM, FREE, LIMB, MASS, MATRIX, RESPONSE, leg_sets
 from _in_situ_stacked import wrench_of_gravity
 
 from surefoot.calibration.in_situ import InSituSet, KnownLimb, calibrate_in_situ
-from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.data import Task
 from surefoot.calibration.in_situ.judge import data_rank
-from surefoot.calibration.in_situ.problem import problem_of, starts
+from surefoot.calibration.in_situ.solver.compress import compress
+from surefoot.calibration.in_situ.solver.problem import problem_of, starts
 from surefoot.calibration.results import CalibrationRefused, FitResult
 
 NOISE = np.array([0.05, 0.05, 0.05, 0.001, 0.001, 0.001])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surefoot.calibration.certainty import Certainty
+from surefoot.calibration.excitation.certainty import Certainty
 from surefoot.controllers import CalibrationMotion
 
 TARGETS = np.linspace(0.0, 0.3, 60)[:, None] * [1.0, -1.0]

@@ -7,8 +7,8 @@ import pytest
 
 from surefoot.calibration.in_situ import InSituOptions, InSituSet, Limb, calibrate_in_situ, limits
 from surefoot.calibration.in_situ.check import measure_bending
-from surefoot.calibration.in_situ.compress import compress
 from surefoot.calibration.in_situ.imu import fit_sphere, level
+from surefoot.calibration.in_situ.solver.compress import compress
 from surefoot.envs.leg_rig.recording import record_rig
 from surefoot.experiments.force_torque.validation import cramer_rao, normalise_error, offset_bounds
 from surefoot.experiments.in_situ import cases, instruments, methods

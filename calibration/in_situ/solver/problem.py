@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import ROUNDING, of_unit_length
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.compress import CompressedSet
 from surefoot.calibration.in_situ.data import KnownLimb, Matrix, Task, Vector
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -29,6 +28,7 @@ from surefoot.calibration.in_situ.model import (
     stack_equations,
     transform_basis,
 )
+from surefoot.calibration.in_situ.solver.compress import CompressedSet
 
 
 class Maker(NamedTuple):

@@ -1,6 +1,6 @@
 r"""Plans of a robot's motions to calibrate its feet: the motions that lower the bound most per second.
 
-The posterior bound (:mod:`surefoot.calibration.bound`) of a motion needs no estimate and no drawn
+The posterior bound (:mod:`surefoot.calibration.excitation.bound`) of a motion needs no estimate and no drawn
 error: the covariance after it follows from the covariance before it, the motion, and the model that the
 moment filter assumes. A plan is made from motions that all start and end in one posture, so that any can
 follow any. It is found forward in time: whatever ends within the same half second competes, the ten orders
@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surefoot.arrays import Floats
-from surefoot.calibration.bound import LogPassages, Passage
 from surefoot.calibration.checks import check_value
+from surefoot.calibration.excitation.bound import LogPassages, Passage
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.parameters import Parameters

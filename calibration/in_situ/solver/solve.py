@@ -22,8 +22,6 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import of_unit_length, orthonormal, skew
-from surefoot.calibration.in_situ.colour import Spectrum, likeliest_colour
-from surefoot.calibration.in_situ.compress import SetRows, add_signals, motion_of
 from surefoot.calibration.in_situ.data import Matrix, Vector
 from surefoot.calibration.in_situ.model import (
     AXES,
@@ -32,7 +30,9 @@ from surefoot.calibration.in_situ.model import (
     signal_rotation,
     signal_rotation_slope,
 )
-from surefoot.calibration.in_situ.problem import Problem
+from surefoot.calibration.in_situ.solver.colour import Spectrum, likeliest_colour
+from surefoot.calibration.in_situ.solver.compress import SetRows, add_signals, motion_of
+from surefoot.calibration.in_situ.solver.problem import Problem
 
 _SEARCHES, _TURNED_SEARCHES = 3, 36  # starts from which to search; the second where the rotation is unknown
 _AS_GOOD = 10.0  # minima that cost this much more than the lowest are none

@@ -3,8 +3,8 @@ r"""A set of thousands of samples as one small triangle.
 A set becomes rows: means over windows in which the limb hardly turns, of the samples that take part; those
 that are missing, or that disagree with all others, do not. Its readings follow :math:`r = A T u + o + e`: the
 response A to the wrench T u, an offset, and noise, which hangs together in time where the offset walks. Rows
-are weighted against that (:mod:`~surefoot.calibration.in_situ.colour`): a signal that looks like drift counts
-for as little as such a drift leaves of it. One orthogonal triangularisation
+are weighted against that (:mod:`~surefoot.calibration.in_situ.solver.colour`): a signal that looks like drift
+counts for as little as such a drift leaves of it. One orthogonal triangularisation
 
 .. math::
     Q' [1 \; u \; r] =
@@ -27,9 +27,9 @@ from scipy.fft import dct
 from scipy.special import chdtri
 
 from surefoot.calibration.arrays import MAD_TO_STD, orthonormal, triangle
-from surefoot.calibration.in_situ.colour import Colour, Spectrum, likeliest_colour, motion_frequency
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.model import DIRECT, SPREAD_ROUNDING, signals
+from surefoot.calibration.in_situ.solver.colour import Colour, Spectrum, likeliest_colour, motion_frequency
 
 _GATE = 1e-9  # probability that a sample of nothing but noise is left out
 
