@@ -1,5 +1,6 @@
 """Checks of single sets: before the fit, of unusable data; after it, of limbs that are not rigid."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 
@@ -124,9 +125,9 @@ def _measure_held(data: InSituSet, spread: float) -> tuple[float, bool]:
     """
     whole = np.isfinite(data.raw).all(axis=1) & np.isfinite(data.gravity).all(axis=1)
     raw, gravity = data.raw[whole], data.gravity[whole]
-    if len(raw) < 2:
-        return 0.0, False
     same = np.all(gravity[1:] == gravity[:-1], axis=1)
+    if not same.any():
+        return 0.0, False
     run = np.append(0, np.cumsum(~same))
     mean = np.stack([np.bincount(run, one) / np.bincount(run) for one in raw.T], axis=1)
     noise = np.sum(np.diff(raw, axis=0)[same] ** 2) / 2.0
@@ -144,22 +145,27 @@ def _measure_held(data: InSituSet, spread: float) -> tuple[float, bool]:
 def _check_idle(sets: Sequence[InSituSet]) -> Iterator[Finding]:
     """Yield which channels read noise alone, by the n R^2 of gravity in all sets."""
     limit = float(chdtri(3 * len(sets), _CHANCE))
-    for channel in range(sets[0].channels):
-        follows = sum(_follows_gravity(data, channel) for data in sets)
+    for channel, follows in enumerate(np.sum([_follow_gravity(data) for data in sets], axis=0)):
         if follows < limit < sum(len(data.raw) for data in sets) / 2:
             reason = f"Channel {channel} does not follow gravity in any set: it reads noise alone."
-            yield Finding("idle channel", reason, "Check its gauge and its cable.", follows, limit)
+            yield Finding("idle channel", reason, "Check its gauge and its cable.", float(follows), limit)
 
 
-def _follows_gravity(data: InSituSet, channel: int) -> float:
-    """Return n R^2 of a channel's readings on gravity; three by chance."""
-    columns = np.column_stack([data.gravity, data.raw[:, channel]])
-    columns = columns[np.isfinite(columns).all(axis=1)]
-    columns = columns - columns.mean(axis=0)
-    gravity, counts = orthonormal(columns[:, :3], SPREAD_ROUNDING)[0], columns[:, 3]
-    return float(
-        len(counts) * np.sum((gravity.T @ counts) ** 2) / max(float(counts @ counts), np.finfo(float).tiny)
-    )
+def _follow_gravity(data: InSituSet) -> NDArray[np.float64]:
+    """Return n R^2 of each channel's readings on gravity, shape (k,); three by chance."""
+    there = np.isfinite(data.raw) & np.isfinite(data.gravity).all(axis=1, keepdims=True)
+    follows, alike = np.empty(data.channels), defaultdict[bytes, list[int]](list)
+    for channel, rows in enumerate(there.T):
+        alike[rows.tobytes()].append(channel)
+    # Channels that are there in the same samples share a basis.
+    for channels in alike.values():
+        rows = there[:, channels[0]]
+        gravity, counts = data.gravity[rows], data.raw[rows][:, channels]
+        basis, _ = orthonormal(gravity - gravity.mean(axis=0), SPREAD_ROUNDING)
+        counts -= counts.mean(axis=0)
+        square = np.maximum(np.sum(counts**2, axis=0), np.finfo(float).tiny)
+        follows[channels] = len(counts) * np.sum((basis.T @ counts) ** 2, axis=0) / square
+    return follows
 
 
 def _check_added(data: InSituSet) -> Iterator[Finding]:
