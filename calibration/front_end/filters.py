@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from surefoot.arrays import Floats
 from surefoot.calibration.arrays import Array
@@ -75,12 +76,9 @@ def zero_phase(values: Floats, cutoff: float, dt: float) -> Floats:
         seen = known[:, column]
         flat[~seen, column] = np.interp(index[~seen], index[seen], flat[seen, column])
     flat[:, ~known.any(axis=0)] = 0.0
-    # Imported here: it takes a second, and a robot in its loop never needs it.
-    from scipy.signal import sosfiltfilt
-
     b, a = _butterworth(cutoff, dt)
     padding = min(len(flat) - 1, round(1.0 / (cutoff * dt)))
-    filtered = sosfiltfilt(np.concatenate([b, a])[None], flat, axis=0, padlen=padding)
+    filtered = scipy.signal.sosfiltfilt(np.concatenate([b, a])[None], flat, axis=0, padlen=padding)
     filtered[~known] = np.nan
     result: Floats = filtered.reshape(np.shape(values))
     return result

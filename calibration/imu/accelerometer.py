@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Floats
@@ -201,26 +202,22 @@ def _spread_of(residual: Floats, unknowns: int) -> float:
 
 def _fit_ellipsoid(force: Floats, unknowns: int) -> tuple[Any, Floats]:
     """Fit samples that did not move; return SciPy's result, and these samples."""
-    from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
-
     start, scale = _robust_start(force, unknowns)
     # Half of the samples lie within one deviation: of more than 2 p, enough are left for p unknowns. Of
     # fewer, none counts as moved.
     still = np.abs(_distances(start, force)) <= _OUTLIER * scale
     kept = force[still] if len(force) > 2 * unknowns else force
     plain: dict[str, Any] = {"jac": _slopes, "xtol": _CONVERGED, "ftol": _CONVERGED, "gtol": _CONVERGED}
-    return least_squares(_distances, start, args=(kept,), **plain), kept
+    return scipy.optimize.least_squares(_distances, start, args=(kept,), **plain), kept
 
 
 def _robust_start(force: Floats, unknowns: int) -> tuple[Floats, float]:
     """Fit with Huber's loss; return unknowns and the scale of residuals, or refuse a moving sensor."""
-    from scipy.optimize import least_squares
-
     start = _algebraic_start(force, unknowns)
     scale = _spread_of(_distances(start, force), unknowns)
     for _ in range(_ROUNDS):
         robust: dict[str, Any] = {"jac": _slopes, "loss": "huber", "f_scale": _HUBER * scale}
-        start = least_squares(_distances, start, args=(force,), **robust).x
+        start = scipy.optimize.least_squares(_distances, start, args=(force,), **robust).x
         last, scale = scale, _spread_of(_distances(start, force), unknowns)
         if abs(scale - last) <= _SETTLED * last:
             break

@@ -5,9 +5,8 @@ alike with a Savitzky-Golay filter of third order over 301 samples, 3 s at 100 H
 it looks into the future and serves logs only.
 """
 
-from math import factorial
-
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Floats
@@ -57,19 +56,5 @@ def savitzky_golay(
             f"{bad} of {len(values)} samples are not finite, and the filter would spread them over a window: "
             "cut the log at its gaps or fill them first."
         )
-    # SciPy has it as well, but to import scipy.signal takes longer than all else that a calibration does.
-    half = window // 2
-    reach = max(half, 1)
-    place = np.arange(-half, half + 1) / reach
-    fitted = np.linalg.pinv(np.vander(place, order + 1, increasing=True))  # coefficients, (order + 1, window)
-    power = np.arange(derivative, order + 1)
-    falling = np.array([factorial(p) / factorial(p - derivative) for p in power]) / (reach * dt) ** derivative
-    # Of a window's samples, for the value or the derivative at each of its places, (window, window).
-    weights = (falling * place[:, None] ** (power - derivative)) @ fitted[derivative:]
-    inner = len(values) - 2 * half
-    filtered = np.zeros_like(values)
-    for i, weight in enumerate(weights[half]):
-        filtered[half : half + inner] += weight * values[i : i + inner]
-    filtered[:half] = np.tensordot(weights[:half], values[:window], axes=1)
-    filtered[half + inner :] = np.tensordot(weights[half + 1 :], values[-window:], axes=1)
+    filtered: Floats = scipy.signal.savgol_filter(values, window, order, derivative, dt, axis=0)
     return filtered

@@ -19,8 +19,8 @@ from itertools import combinations, permutations, product
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import orthonormal
@@ -367,7 +367,6 @@ def _try_reading(evidence: Evidence) -> Iterator[Cause]:
 
 def _find_size(sets: Sequence[InSituSet], change: "_Change", values: Sequence[float]) -> float:
     """Return the size of a change of gravity that explains most: the best of a grid, made finer."""
-    from scipy.optimize import minimize_scalar  # Late: it takes longer to import than all the rest.
 
     def measure(x: float) -> float:
         return _share_left([_change(data, change, x) for data in sets])
@@ -377,7 +376,9 @@ def _find_size(sets: Sequence[InSituSet], change: "_Change", values: Sequence[fl
     if len(near) == 1:
         return near[0]
     options = {"xatol": _ACCURACY * abs(values[best])}
-    found = minimize_scalar(measure, bounds=(min(near), max(near)), method="bounded", options=options)
+    found = scipy.optimize.minimize_scalar(
+        measure, bounds=(min(near), max(near)), method="bounded", options=options
+    )
     return float(found.x)
 
 
@@ -395,7 +396,9 @@ def _low_pass(values: Matrix, data: InSituSet, seconds: float) -> Matrix:
     """Return the low-passed values, shape (n, 3), by a filter of the first order."""
     assert data.time is not None
     kept = float(np.exp(-np.median(np.diff(data.time)) / seconds))
-    return np.asarray(lfilter([1.0 - kept], [1.0, -kept], values, axis=0, zi=kept * values[:1])[0])
+    return np.asarray(
+        scipy.signal.lfilter([1.0 - kept], [1.0, -kept], values, axis=0, zi=kept * values[:1])[0]
+    )
 
 
 def _hold(values: Matrix, data: InSituSet, _: float) -> Matrix:

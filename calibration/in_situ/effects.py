@@ -34,7 +34,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
@@ -299,7 +299,7 @@ def _creeps(wrenches: Sequence[Matrix], steps: Sequence[float]) -> list[Matrix]:
     found = []
     for wrench, step in zip(wrenches, steps, strict=True):
         kept, mean = np.exp(-step / CREEPING), wrench.mean(axis=0, keepdims=True)
-        at = [lfilter([1.0 - k], [1.0, -k], wrench, axis=0, zi=k * mean)[0] for k in kept]
+        at = [scipy.signal.lfilter([1.0 - k], [1.0, -k], wrench, axis=0, zi=k * mean)[0] for k in kept]
         found.append(np.sum(at, axis=0))
     return found
 

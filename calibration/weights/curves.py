@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.interpolate import PchipInterpolator
-from scipy.optimize import curve_fit, isotonic_regression
 
 from surefoot.arrays import Floats
 
@@ -60,7 +59,11 @@ class Curves:
                     f"The curve of channel {i} must have two or more finite readings and as many straight "
                     f"ones, both increasing, got {np.asarray(knots[i]).tolist()}."
                 )
-        self._cubics = {i: PchipInterpolator(*one) for i, one in enumerate(self.knots) if one is not None}
+        self._cubics = {
+            i: scipy.interpolate.PchipInterpolator(*one)
+            for i, one in enumerate(self.knots)
+            if one is not None
+        }
 
     @property
     def any(self) -> bool:
@@ -88,7 +91,7 @@ class Curves:
         return straight
 
     @property
-    def cubics(self) -> Mapping[int, PchipInterpolator]:
+    def cubics(self) -> Mapping[int, "scipy.interpolate.PchipInterpolator"]:
         """The cubic of each channel that has one."""
         return self._cubics
 
@@ -124,7 +127,8 @@ class _Shape(NamedTuple):
 
     def force(self, count: float) -> float:
         """Return the load of a reading between the outermost ones, in N."""
-        return float(PchipInterpolator(self.reading, self.load)(np.clip(count, *self.reading[[0, -1]])))
+        curve = scipy.interpolate.PchipInterpolator(self.reading, self.load)
+        return float(curve(np.clip(count, *self.reading[[0, -1]])))
 
 
 def fit_curve(code: ArrayLike, load: ArrayLike) -> CurveFit | None:
@@ -172,7 +176,7 @@ def _line(count: Floats, load: Floats, number: Floats) -> _Shape | None:
 
 
 def _cubic(count: Floats, load: Floats, number: Floats) -> _Shape | None:
-    level = isotonic_regression(count, weights=number).x
+    level = scipy.optimize.isotonic_regression(count, weights=number).x
     # Loads that no reading tells apart are one knot.
     groups = np.split(np.arange(len(level)), np.flatnonzero(np.diff(level) > 0.0) + 1)
     if len(groups) < 3:
@@ -191,7 +195,7 @@ def _power(count: Floats, load: Floats, number: Floats) -> _Shape | None:
     start, bounds = (0.0, 1.0, 1.0), ((-np.inf, 0.0, EXPONENTS[0]), (np.inf, np.inf, EXPONENTS[1]))
     try:
         given: Any = {"p0": start, "bounds": bounds, "sigma": 1.0 / np.sqrt(number)}
-        found, _ = curve_fit(law, load / high, (count - count[0]) / rise, **given)
+        found, _ = scipy.optimize.curve_fit(law, load / high, (count - count[0]) / rise, **given)
     except RuntimeError:
         return None  # no convergence
     grid = low + (high - low) * np.linspace(0.0, 1.0, KNOTS) ** 2

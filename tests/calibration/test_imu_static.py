@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from _refusals import refusals
-from scipy.signal import savgol_filter
 
 from surefoot.calibration.imu import savitzky_golay
 
@@ -20,14 +19,6 @@ def test_cubics_pass_unchanged_and_noise_does_not():
     # The centre weight of a cubic over m points, 3 (3 m^2 - 7) / (4 m (m^2 - 4)), is the share that is left.
     left = 3.0 * (3 * 301**2 - 7) / (4 * 301 * (301**2 - 4))
     assert np.var(savitzky_golay(noise)[150:-150]) == pytest.approx(left, rel=0.2)
-
-
-@pytest.mark.parametrize(("window", "order", "derivative"), [(1, 0, 0), (5, 4, 4), (7, 2, 1), (31, 3, 0)])
-def test_the_filter_is_scipys(window, order, derivative):
-    signal = np.random.default_rng(0).standard_normal((31, 2, 3))
-    expected = savgol_filter(signal, window, order, deriv=derivative, delta=DT, axis=0)
-    found = savitzky_golay(signal, window=window, order=order, derivative=derivative, dt=DT)
-    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
 test_what_cannot_be_filtered_is_refused = refusals(

@@ -140,6 +140,15 @@ def test_import_is_light() -> None:
     assert printed.strip() == "[]"
 
 
+def test_a_robots_loop_waits_for_no_part_of_scipy_that_logs_alone_need() -> None:
+    printed = run_python(
+        "import sys, surefoot.calibration\n"
+        "slow = ('scipy.interpolate', 'scipy.optimize', 'scipy.signal', 'scipy.stats')\n"
+        "print([m for m in slow if m in sys.modules])"
+    )
+    assert printed.strip() == "[]"
+
+
 @pytest.mark.parametrize(
     "imports",
     [

@@ -17,6 +17,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
@@ -201,13 +202,11 @@ def _rank_of(found: tuple[float, Vector]) -> tuple[bool, float]:
 
 def _search(problem: Problem, start: Vector, evaluations: int = _EVALUATIONS) -> tuple[float, Vector]:
     """Return the cost and the outer unknowns at the minimum next to a start."""
-    from scipy.optimize import least_squares  # Late: it takes longer to import than all the rest.
-
     scale = np.ones(problem.outer)
     scale[: problem.parameters] = max(abs(float(start[MASS])), _LEAST_MASS)
     # A search asks for the residual and then for its slopes at one place.
     inner = lru_cache(1)(lambda key: _Linear.at(problem, np.frombuffer(key) * scale))
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         lambda x: _residual(inner(x.tobytes())),
         start / scale,
         jac=lambda x: _slopes(inner(x.tobytes())) * scale,
