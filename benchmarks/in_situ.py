@@ -14,9 +14,9 @@ beside the offset, of the maker's matrix and of the calibrated one; how much wor
 sensor gets; and the share of the calibrated matrix's entries that its 95 % intervals hold.
 
 **raster**: legs and feet with all errors of sensor and IMU. A raster moves the second joint once while the
-first sweeps, so that a drift of the sensor's offset looks like that turn; a sweep moves both many times. Told
-are the error of the limb's weight and the squared error per parameter by the fit's own covariance (NEES; 1
-where the fit is as sure as it is right).
+first sweeps, so that a drift of the sensor's offset looks like that turn; a sweep moves both many times. The
+table has the error of the limb's weight, and the squared error per parameter by the fit's own covariance
+(NEES; 1 where the fit is as sure as it is right).
 
 **tracker**: sensors that were calibrated with four masses go on in the air for five minutes on another path.
 Compared over the second half are the offset of the fit, the mean difference of readings and the fit's weight

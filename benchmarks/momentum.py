@@ -1,6 +1,6 @@
 """Feet that stand, walk and are held: errors of single feet and cells by the foot calibrators.
 
-    python benchmarks/momentum.py --out FOLDER --scenes nao/walk "g1/walk, bench" g1/held-20 --seeds 4
+    python benchmarks/momentum.py --out FOLDER --scenes nao/walk "g1/walk, calibrated" g1/held-20 --seeds 4
     python benchmarks/momentum.py --out FOLDER --seeds 8 --results out/results/momentum
 
     python benchmarks/momentum.py --out FOLDER --parts --seeds 4 --results out/results/momentum
@@ -16,8 +16,8 @@ errors agree with the covariance claimed (1 is right).
 
 A robot of its owner's, Unitree's G1 by a published policy, comes from the folder that the variable
 ``SUREFOOT_STRANGERS`` names (``g1_policy.py`` beside it); without it, its scenes are left out. Cells are
-the usual ones of a robot's size. In a scene ``"..., bench"`` they start with a perfect map and drift a tenth
-as fast, in ``"..., triple"`` they are three times as bad, untold.
+the usual ones of a robot's size. In a scene ``"..., calibrated"`` they start with a perfect map and drift a
+tenth as fast, in ``"..., triple"`` they are three times as bad, untold.
 """
 
 import argparse
@@ -112,12 +112,12 @@ SCENES = {
     **{f"exercise/{own}": Scene("surefoot/Exercise-v0", options=(("robot", own),)) for own in EXERCISE},
 }
 
-PAGE = (*SCENES, *(f"{robot}/walk, {start}" for start in ("triple", "bench") for robot in ("g1", "nao")))
+PAGE = (*SCENES, *(f"{robot}/walk, {start}" for start in ("triple", "calibrated") for robot in ("g1", "nao")))
 """Scenes of the table of the pages, some with other cells to start with."""
 
 PARTS_PAGE = (
     "g1/walk", "g1/stop-and-go", "g1/held-20", "g1/stand", "g1-fastsac/walk", "g1-fastsac/held-5", "nao/walk",
-    "nao/walk, triple", "nao/walk, bench", "nao/held-walk", "nao/balance", "exercise/op3", "exercise/t1",
+    "nao/walk, triple", "nao/walk, calibrated", "nao/held-walk", "nao/balance", "exercise/op3", "exercise/t1",
 )  # fmt: skip
 """Scenes on which parts of ``moment`` are left out."""
 
@@ -203,7 +203,7 @@ def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
 
 def cells_of(start: str, usual: LoadCells) -> LoadCells:
     """Return the cells of a start."""
-    if start == "bench":
+    if start == "calibrated":
         drift = {name: 0.1 * getattr(usual, name) for name in ("scale_drift", "offset_drift")}
         return replace(usual, initial_scale_std=0.0, initial_offset_std=0.0, **drift)
     return scaled(usual, 3.0) if start == "triple" else usual

@@ -23,17 +23,12 @@ of many is that of a process of its own which has stepped them once.
 """
 
 import argparse
-import csv
-import json
 import os
 import platform
-import shlex
-import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager, nullcontext
-from datetime import UTC, datetime
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -43,7 +38,6 @@ from unittest.mock import patch
 import gymnasium as gym
 import numpy as np
 
-import surefoot
 from surefoot.envs import InstrumentedEnv
 from surefoot.native import CALIBRATION, ENVS, SENSORS, cores
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -269,15 +263,11 @@ def memory_of(name: str, count: int) -> float:
 
 def save(folder: Path, name: str, heads: list[str], rows: list[list[str]]) -> None:
     """Write a table of a page of docs, and how it was made."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([heads, *rows])
-    made = {
-        "command": shlex.join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]),
-        "software": f"surefoot {surefoot.__version__}, {cores()} cores, {processor()}, load {LOAD:.1f}",
-        "date": f"{datetime.now(UTC):%Y-%m-%d}",
-    }
-    (folder / "made.json").write_text(json.dumps(made, indent=1) + "\n", encoding="utf-8")
+    from surefoot.experiments.study.page import save_tables  # late: memory is measured without pandas
+    from surefoot.experiments.study.tables import Table
+
+    table = Table(name, "", tuple(heads), tuple(map(tuple, rows)))
+    save_tables(folder, [table], by=f"{cores()} cores, {processor()}, load {LOAD:.1f}")
 
 
 def processor() -> str:

@@ -242,5 +242,5 @@ def require(library: Library | None) -> Library:
 
 @cache
 def say_once(problem: str, effect: str) -> None:
-    """Log in one line what becomes of it that there is no such library, and the way out."""
+    """Log once that a library is missing, what that means, and how to compile it."""
     logging.getLogger("surefoot").warning("surefoot %s: %s; compile it with: %s", effect, problem, _BY_HAND)

@@ -29,7 +29,7 @@ from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.chances import Chances
 from surefoot.robot.foot_view import FootView, check_certainty, check_parts, default_parts, flaw_of
 from surefoot.robot.native import SampleBackend, native_sample
-from surefoot.robot.python import Told, believe
+from surefoot.robot.python import Outputs, believe
 from surefoot.robot.sensing.equipment import Equipment
 from surefoot.robot.sensing.instruments import layout_options
 from surefoot.robot.sensing.sensors import RobotSensors
@@ -247,7 +247,7 @@ class RobotCalibration(OfOneVersion):
         """Take in packets and find the reference of one sample; return whether the robot has just fallen."""
         return believe(self.beliefs, self._sensors, self.reference_time, command, self.frozen, self._chances)
 
-    def sample(self, command: Any) -> Told:
+    def sample(self, command: Any) -> Outputs:
         """Take in one sample; return the observation and the ``info``, as fresh arrays."""
         shown, told = self.backend.sample(self._sensors, self.reference_time, command, self.frozen)
         told["lag"] = self.late

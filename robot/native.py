@@ -17,7 +17,7 @@ from surefoot.robot.beliefs.believed import reference_info
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.chances import Chances
 from surefoot.robot.foot_view import DETERMINED, FootView
-from surefoot.robot.python import AnyBeliefs, PythonSample, Told
+from surefoot.robot.python import AnyBeliefs, Outputs, PythonSample
 from surefoot.robot.sensing.native import ManySensing
 from surefoot.robot.sensing.sensors import RobotSensors
 
@@ -57,7 +57,7 @@ class NativeSample:
         self._sample, self.address = library.functions.surefoot_sample, self._records.address
         self.many = library.functions.surefoot_sample_many
 
-    def sample(self, sensors: RobotSensors, then: float, command: Any, hold: bool) -> Told:
+    def sample(self, sensors: RobotSensors, then: float, command: Any, hold: bool) -> Outputs:
         """Take in one sample."""
         beliefs, arrived = self._beliefs, sensors.packet_rows()
         beliefs.keep_up()
@@ -74,7 +74,7 @@ class NativeSample:
         memory[...] = self.memory
         self.memory = self._records["told"] = memory
 
-    def outputs(self, memory: NDArray[np.uint8] | None = None) -> Told:
+    def outputs(self, memory: NDArray[np.uint8] | None = None) -> Outputs:
         """Return the observation of the last sample, and the ``info`` of the estimate, in fresh arrays.
 
         They are of N robots of this one's kind, which are in front, if their memory is given, (N, bytes).
@@ -90,7 +90,7 @@ class NativeSample:
             told["reference"] = reference_info(self._beliefs.believed.kind(**reference))
         return shown, told
 
-    def _read(self, one: NDArray[Any], known: Any) -> Told:
+    def _read(self, one: NDArray[Any], known: Any) -> Outputs:
         flags, vgrf, scale, offset, *others = self._fields(one)
         shares = {}
         if self._filter.constants.contact:
@@ -160,7 +160,7 @@ class ManySamples:
             for i in which.tolist():
                 self.robots[i].sampled = True
 
-    def outputs(self) -> Told:
+    def outputs(self) -> Outputs:
         """Return observations and ``info`` of all, as :meth:`NativeSample.outputs` does."""
         return self.robots[0].outputs(self._memory)
 

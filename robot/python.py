@@ -16,8 +16,8 @@ from surefoot.robot.sensing.sensors import RobotSensors
 
 AnyBeliefs = Beliefs | MomentumBeliefs | NativeBeliefs
 
-Told = tuple[dict[str, NDArray[Any]], dict[str, Any]]
-"""What is shown of a sample, and the ``info`` of its estimate, in fresh arrays."""
+Outputs = tuple[dict[str, NDArray[Any]], dict[str, Any]]
+"""Observation of a sample, and ``info`` of its estimate, in fresh arrays."""
 
 
 class PythonSample:
@@ -30,7 +30,7 @@ class PythonSample:
         self._estimate: Estimate
         self.sampled = False
 
-    def sample(self, sensors: RobotSensors, then: float, command: Any, hold: bool) -> Told:
+    def sample(self, sensors: RobotSensors, then: float, command: Any, hold: bool) -> Outputs:
         """Take in the packets that have arrived and one sample; a fall takes back the latest learning.
 
         Args:

@@ -58,7 +58,7 @@ class FootSensors(
     fresh ones then as well, and ``"keep"`` keeps them whatever the seed.
 
     Where ``severity`` is a range, or ``faults`` have probabilities, ``info["surefoot"]["truth"]`` also holds
-    the was drawn as well: ``severity``, and ``fault`` (K,), 0 for a channel that is sound, else 1 plus the
+    what was drawn: ``severity``, and ``fault`` (K,), 0 for a channel that is sound, else 1 plus the
     place of its fault in :data:`surefoot.sensors.faults.channels.KINDS`. It is for a critic, not for a
     policy.
 

@@ -32,8 +32,9 @@ SETTLING: Final = 0.15
 HELD: Final = 1e4
 """Inertia in kg m^2 that holds a joint meanwhile: a humanoid's weight turns it by less than a milliradian."""
 
-MOST_OF: Final = 0.95
-"""Least share of the weight on feet that were guessed; half of what a toe or heel bears that was missed."""
+LEAST_SHARE_ON_FEET: Final = 0.95
+"""Least share of the weight that guessed feet must carry; a toe or heel that was missed bears twice the
+rest."""
 
 UPRIGHT: Final = 0.5
 """Least height of the torso above the feet as a share of its distance from them, of a robot that stands."""
@@ -191,7 +192,7 @@ def _check_weight(model: mujoco.MjModel, data: mujoco.MjData, feet: tuple[int, .
             load += up * np.array([1.0, on_feet[first] or on_feet[second]])
     everything, borne = load / steps
     weight = float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
-    if everything > 0.5 * weight and borne < MOST_OF * everything:
+    if everything > 0.5 * weight and borne < LEAST_SHARE_ON_FEET * everything:
         names = " and ".join(f"'{name}'" for name in _names(model, list(feet)))
         raise ValueError(
             f"{names} look like the feet, but put on the ground in its {pose_name(model)} the robot, which "

@@ -68,7 +68,7 @@ class Episode:
             raise ValueError(f"This episode was written by another version of surefoot ({error}).") from error
 
 
-class Moment(NamedTuple):
+class EpisodeStep(NamedTuple):
     """An episode after one control step."""
 
     time: float  # since the reset in s
@@ -112,9 +112,9 @@ class Moment(NamedTuple):
         return placed
 
 
-def episode_moments(
+def episode_steps(
     episode: Episode, controller: Controller | None = None, **drawing: Any
-) -> Iterator[Moment]:
+) -> Iterator[EpisodeStep]:
     """Run an episode to its end or the fall, perhaps with another controller than the named one.
 
     Drawing options change nothing but pictures. A quiet stand comes before control. Raises ValueError if the
@@ -135,7 +135,9 @@ def episode_moments(
             observation, reward, fell, truncated, _ = env.step(action)
             steps += 1
             done = fell or truncated
-            yield Moment(steps * bare.dt, bare, observation, tap.seen, fell, action, float(reward), asked)
+            yield EpisodeStep(
+                steps * bare.dt, bare, observation, tap.seen, fell, action, float(reward), asked
+            )
     finally:
         env.close()
 
@@ -162,20 +164,20 @@ def episode_row(episode: Episode, controller: Controller | None = None) -> dict[
     """
     began = time.perf_counter()
     total, counted, errors, digest = 0.0, 0, [(float("nan"),) * 2], sha256()
-    for moment in episode_moments(episode, controller):
-        if moment.asked or not episode.of_task:
-            total += moment.reward
+    for step in episode_steps(episode, controller):
+        if step.asked or not episode.of_task:
+            total += step.reward
             counted += 1
-        if moment.asked:
-            errors.append((moment.cop_error, moment.tracking))
-        digest.update(moment.action.astype(np.float32).tobytes() + np.float64(moment.reward).tobytes())
-        digest.update(moment.observation["cop"].tobytes() + moment.true_observation["cop"].tobytes())
+        if step.asked:
+            errors.append((step.cop_error, step.tracking))
+        digest.update(step.action.astype(np.float32).tobytes() + np.float64(step.reward).tobytes())
+        digest.update(step.observation["cop"].tobytes() + step.true_observation["cop"].tobytes())
     cop_error, tracking = map(rms, zip(*errors, strict=True))
     outcome = {
         "return": total,
         "steps": counted,
-        "time": counted * moment.bare.dt,
-        "fell": bool(moment.fell),
+        "time": counted * step.bare.dt,
+        "fell": bool(step.fell),
         "cop_error": cop_error,
         "tracking": tracking,
         "digest": digest.hexdigest()[:_DIGEST_DIGITS],

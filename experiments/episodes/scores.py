@@ -31,7 +31,7 @@ from surefoot.experiments.study.tables import Column, Frame, Verdict, decimal
 _SHARE_RESAMPLES = 4000  # bootstrap samples of the seeds behind a share that is won back
 _CROSSING_RESAMPLES = 2000  # resamples of the seeds behind the severity at which half fall
 _STREAM = 0x5EED  # seed of these resamples
-WIDEST = 2.0  # widest interval of a share that says something; within a wider one all is won, or lost again
+WIDEST = 2.0  # a share whose interval is wider than this is not reported
 
 
 class Run(NamedTuple):

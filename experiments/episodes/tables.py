@@ -144,7 +144,7 @@ def half_table(rows: Frame, titles: Mapping[str, str]) -> Table | None:
 
 
 def worst_table(worst: Frame) -> Table:
-    """Return the worst episodes, with whole names: those who did not come last are not there."""
+    """Return the worst episodes, with full names of controllers."""
     title = "The worst episodes: the earliest falls, then the lowest returns"
     return table_of("worst", title, _WORST, worst.to_dict("records"))
 

@@ -16,8 +16,8 @@ from surefoot.experiments.in_situ.cases import (
     exact_errors,
     sweep_and_calibrate,
 )
-from surefoot.experiments.study.page import save_facts, save_frames
-from surefoot.experiments.study.runner import machine, runner
+from surefoot.experiments.study.page import save_frames
+from surefoot.experiments.study.runner import runner
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
 
@@ -99,7 +99,6 @@ def run_in_situ_study(options: InSituStudyOptions) -> InSituStudyResults:
         setattr(results, name, store.rows(name, cases))
     results.failures = store.failures(cases)
     save_frames(options.out / "tables", {name: getattr(results, name) for name in FRAMES}, (".csv",))
-    save_facts(options.out / "results.json", options, machine=machine(), seconds=results.seconds)
     return results
 
 

@@ -21,11 +21,19 @@ from surefoot.experiments.instrument.recording import Recording, read_recording
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.progress import working
-from surefoot.experiments.study.tables import NOTHING, Table, decimal, number, percent, sentence, span
-from surefoot.experiments.study.tables import Verdict as Mark
+from surefoot.experiments.study.tables import (
+    NOTHING,
+    Table,
+    Verdict,
+    decimal,
+    number,
+    percent,
+    sentence,
+    span,
+)
 from surefoot.experiments.walking.claims import Claims, claims_of, fit_claims, parts_of
 from surefoot.experiments.walking.hypotheses import Hypothesis
-from surefoot.experiments.walking.judge import HINT, SOUND, Verdict, judge_log, length_of
+from surefoot.experiments.walking.judge import HINT, SOUND, Judgement, judge_log, length_of
 from surefoot.experiments.walking.notices import check_weight, motion_notices
 from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.weights.calibrate import fit_cells, read_weighings
@@ -133,7 +141,7 @@ def _mix_row(claims: Claims, undone: Claims, row: int) -> Claims:
     return replace(claims, raw=np.concatenate([claims.raw[:row], undone.raw[row:]]), reference=reference)
 
 
-def _first_bad(log: Log, initial: Parameters, verdict: Verdict) -> int:
+def _first_bad(log: Log, initial: Parameters, verdict: Judgement) -> int:
     """Return the row from which on a log contradicts itself, to a part of it; 0 if all along."""
     if not verdict.findings:
         return 0
@@ -165,7 +173,7 @@ def wrong_table(checked: Checked) -> Table:
     """Table of findings about a log."""
     rows = tuple(
         (
-            Mark.of(not one.finding.refuses, "wrong" if one.finding.refuses else "note"),
+            Verdict.of(not one.finding.refuses, "wrong" if one.finding.refuses else "note"),
             one.finding.name,
             one.since,
             f"{one.finding.reason} {one.finding.cure}".strip(),

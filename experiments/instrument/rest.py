@@ -134,7 +134,7 @@ def _interval(
 ) -> Interval:
     """Return the interval in which the profile of a cost rises by less than the quantile.
 
-    What is next to nothing has no size of its own: the upper end is looked for from a typical one.
+    If the best value is almost zero, the search for the upper end starts from a typical value.
     """
     rise = 0.5 * float(chi2.ppf(SURE, 1))
 

@@ -1,9 +1,8 @@
 """Logs of walks: one documented table for simulated and real robots; docs/log-format.md lists its columns.
 
 One row a sample of the feet's sensors, as Parquet or CSV, and a description of the robot: in the schema's
-metadata under ``surefoot``, or in ``walk.json`` beside ``walk.csv``. A column that begins with ``truth_`` no
-calibrator is shown. Beliefs may be made of joint angles, an IMU and a drawing under ``motion`` (extra
-``[sim]``).
+metadata under ``surefoot``, or in ``walk.json`` beside ``walk.csv``. Calibrators never see columns that begin
+with ``truth_``. Beliefs may be made of joint angles, an IMU and a drawing under ``motion`` (extra ``[sim]``).
 """
 
 import json

@@ -53,7 +53,7 @@ _LOOKS = {
     "truth": Look("truth (MuJoCo)", "#000000", "-", "o", "truth"),
     "true": Look("true CoP", "#000000", "-", "o", "true"),
     "baseline": _BEFORE,
-    "floor": Look("floor (true map)", "#7f7f7f", ":", ".", "floor"),
+    "true-map": Look("true map", "#7f7f7f", ":", ".", "true map"),
     "reference": Look("reference", "#882255", ":", "*", "reference"),
     "none": Look("raw (none)", "#D55E00", "-", "X", "raw"),
     "weights": _BEFORE._replace(label="weights just before", short="weights"),

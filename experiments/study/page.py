@@ -137,14 +137,17 @@ def publish(
     return Report(write_page(out / name, title, introduction, sections, lead=lead), tables)
 
 
-def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "") -> None:
-    """Save tables as CSV files of their names, and beside them how, by which code and when they were made."""
+def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "", by: str = "") -> None:
+    """Save tables as CSV files of their names, and beside them how, by what and when they were made.
+
+    ``by`` is the machine of a measurement of speed, else the code.
+    """
     for table in tables:
         with atomic_path(folder / f"{prefix}{table.name}.csv") as part:
             table.to_frame().to_csv(part, index=False)
     made = {
         "command": command_line(),
-        "software": f"surefoot {surefoot.__version__} (code {source_hash()})",
+        "software": f"surefoot {surefoot.__version__} ({by or f'code {source_hash()}'})",
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
     }
     write_text(folder / MADE, json.dumps(made, indent=1) + "\n")
@@ -181,11 +184,6 @@ def save_frames(
         with atomic_path(folder / f"{name}{ending}") as part:
             write = frames[name].to_csv if ending == ".csv" else frames[name].to_parquet
             write(part, index=False)
-
-
-def save_facts(path: Path, options: Any, **facts: Any) -> None:
-    """Save how a study was run: its options, a dataclass, and its machine."""
-    write_text(path, json.dumps({"options": vars(options), **facts}, indent=1, default=str))
 
 
 def _kinds(table: Table) -> list[str]:

@@ -1,7 +1,7 @@
 """Who does the work of a study, piece by piece, with a bar and a stopwatch: this process, or several of them.
 
-A process that dies costs nothing but the task that it died of. Whatever may have killed one is done once
-more, by itself; if that kills its process too, its result is :class:`Died`.
+If a process dies, the tasks that it may have died of are run again, one at a time. A task that kills its
+process again has the result :class:`Died`.
 """
 
 import os

@@ -63,7 +63,7 @@ class Explanation(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Judgement:
     """The verdict: findings, by falling likelihood the explanations, and the fit as the log is."""
 
     findings: tuple[Finding, ...]
@@ -71,7 +71,7 @@ class Verdict:
     as_it_is: Fit
 
 
-def judge_log(log: Log, initial: Parameters) -> Verdict:
+def judge_log(log: Log, initial: Parameters) -> Judgement:
     """Say whether counts, layout, mass, motion and contacts of a log belong together, by a starting map."""
     far = _check_layout(log)
     # Matrices are small: threads would cost more than they bring.
@@ -80,7 +80,7 @@ def judge_log(log: Log, initial: Parameters) -> Verdict:
         parts = condense(claims)
         plain = fit_parts(parts)
         if plain.rows == 0:
-            return Verdict(tuple(far), (), plain)
+            return Judgement(tuple(far), (), plain)
         tried = list(hypotheses(log.layout))
         explanations = _explain(claims, parts, plain, tried)
         broken = _broken(claims, parts, raw_names_of(log.layout))
@@ -92,7 +92,7 @@ def judge_log(log: Log, initial: Parameters) -> Verdict:
             found = _decide(claims, plain, explanations, broken)
     if far and found and found[0].contradicts:
         far = []
-    return Verdict((*far, *found), tuple(explanations), plain)
+    return Judgement((*far, *found), tuple(explanations), plain)
 
 
 def _check_layout(log: Log) -> list[Finding]:

@@ -56,7 +56,7 @@ _RECORDED = ("options", "sensors", "beliefs", "cells", "duration", "clock_error"
 
 _FAULT_STREAM = 0xFA17
 
-TRUE_MAP = "floor"
+TRUE_MAP = "true-map"
 """Name of the row of the map that would undo the cells' errors at every moment, of readings as they are."""
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from surefoot.arrays import Floats
-from surefoot.experiments.episodes.episode import Episode, Moment, episode_moments
+from surefoot.experiments.episodes.episode import Episode, EpisodeStep, episode_steps
 from surefoot.experiments.episodes.plan import walk_episode
 from surefoot.experiments.policy.controllers import short_name
 from surefoot.experiments.study.figures import look_of
@@ -58,14 +58,14 @@ def shoot(episode: Episode, begin: float = FIRST_MOMENT, title: str = "") -> Ree
     prepare_rendering()
     frames, fell = [], False
     try:
-        moments = episode_moments(episode, render_mode="rgb_array", width=WIDTH, height=HEIGHT)
-        for k, moment in enumerate(moments):
-            quality, fell = moment.bare.model.vis.quality, moment.fell
+        steps = episode_steps(episode, render_mode="rgb_array", width=WIDTH, height=HEIGHT)
+        for k, step in enumerate(steps):
+            quality, fell = step.bare.model.vis.quality, step.fell
             # Shadows take a software renderer ten times as long as all the rest.
             quality.shadowsize, quality.offsamples = 0, 4
-            shown = k % round(1.0 / (moment.bare.dt * FRAMES_PER_SECOND)) == 0 and moment.time > begin
+            shown = k % round(1.0 / (step.bare.dt * FRAMES_PER_SECOND)) == 0 and step.time > begin
             if shown or fell:
-                frames.append(_sheet(episode.feed, moment, title))
+                frames.append(_sheet(episode.feed, step, title))
     except ValueError:
         raise  # An episode that is refused is no fault of the driver.
     except Exception as error:  # Drivers fail in as many ways as there are drivers.
@@ -102,9 +102,9 @@ def watch_walk(feed: str, **walk: Any) -> None:
     if sys.platform == "linux" and not _has_screen():
         raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
     colour = np.array(ImageColor.getrgb(look_of(feed).colour)) / 255.0
-    for moment in episode_moments(walk_episode(feed, **walk), render_mode="human"):
-        dots = ((moment.true_cop_world, np.zeros(3), 0.008), (moment.fed_cop_world, colour, 0.010))
-        moment.bare.markers = [
+    for step in episode_steps(walk_episode(feed, **walk), render_mode="human"):
+        dots = ((step.true_cop_world, np.zeros(3), 0.008), (step.fed_cop_world, colour, 0.010))
+        step.bare.markers = [
             ((*place, 0.004), (*rgb, 1.0), radius) for place, rgb, radius in dots if np.isfinite(place).all()
         ]
 
@@ -142,28 +142,28 @@ def _side_by_side(reels: Sequence[Reel]) -> list[NDArray[np.uint8]]:
     return [np.hstack([reel.frames[min(k, len(reel.frames) - 1)] for reel in reels]) for k in range(count)]
 
 
-def _sheet(feed: str, moment: Moment, title: str) -> NDArray[np.uint8]:
+def _sheet(feed: str, step: EpisodeStep, title: str) -> NDArray[np.uint8]:
     """Put the walker, a title with the time, and the view from above on one sheet."""
     sheet, look = Image.new("RGB", (WIDTH, HEIGHT + BELOW), "white"), look_of(feed)
-    sheet.paste(Image.fromarray(moment.bare.render()), (0, 0))
-    sheet.paste(_from_above(feed, moment), (0, HEIGHT))
+    sheet.paste(Image.fromarray(step.bare.render()), (0, 0))
+    sheet.paste(_from_above(feed, step), (0, HEIGHT))
     name = {"true": "true CoP", "none": "drifting raw CoP"}.get(feed, f"CoP by {look.label}")
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14 if title else 18)
     draw.rectangle((0, 0, WIDTH, 30), fill="white")
     draw.ellipse((10, 10, 20, 20), fill=look.colour)
     draw.text((28, 4), title or name, fill="black", font=font)
-    draw.text((WIDTH - 76, 4), f"{moment.time:5.1f} s", fill="black", font=font)
-    if moment.fell:
+    draw.text((WIDTH - 76, 4), f"{step.time:5.1f} s", fill="black", font=font)
+    if step.fell:
         draw.text((WIDTH - 64, 38), "fallen", fill="#b34700", font=font)
     draw.line((WIDTH - 1, 0, WIDTH - 1, HEIGHT + BELOW), fill="white", width=2)
     return np.asarray(sheet)
 
 
-def _from_above(feed: str, moment: Moment) -> Image.Image:
+def _from_above(feed: str, step: EpisodeStep) -> Image.Image:
     """Draw soles and centres of pressure, forward to the right and left upwards, moving with the robot."""
     size = np.array([WIDTH, BELOW]) * OVERSAMPLING
     scale = PIXELS_PER_METRE * OVERSAMPLING
-    truth = moment.bare.truth
+    truth = step.bare.truth
     sole, R = truth.position_sole[-1], truth.R_world_sole[-1]
     centre = sole[:, :2].mean(axis=0)
 
@@ -173,13 +173,13 @@ def _from_above(feed: str, moment: Moment) -> Image.Image:
 
     picture = Image.new("RGB", (int(size[0]), int(size[1])), "#f6f8fa")
     draw = ImageDraw.Draw(picture)
-    cells = moment.bare.position_cell_sole
+    cells = step.bare.position_cell_sole
     force = truth.force_cell[-1].reshape(2, 4).sum(axis=1)
     for foot in (0, 1):
         corners = sole[foot] + cells[foot][[0, 1, 3, 2]] @ R[foot].T
         fill = "#dfe4ea" if force[foot] > 1.0 else None
         draw.polygon([at(corner) for corner in corners], fill, outline="#5b6775", width=2 * OVERSAMPLING)
-    dots = ((moment.fed_cop_world, look_of(feed).colour, 7), (moment.true_cop_world, "black", 4))
+    dots = ((step.fed_cop_world, look_of(feed).colour, 7), (step.true_cop_world, "black", 4))
     for place, colour, radius in dots:
         if np.isfinite(place).all():
             x, y = at(place)

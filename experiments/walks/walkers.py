@@ -119,8 +119,8 @@ G1_FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
 def make_g1(policy: str) -> gym.Env[Any, Any]:
     """Make the Unitree G1 that walks by a published policy, ``"ppo_g1_29dof"`` or ``"fastsac_g1_29dof"``.
 
-    It is no part of this package, and lies in the folder that the variable ``SUREFOOT_STRANGERS`` names.
+    It is no part of this package: ``g1_policy.py`` lies in the folder that ``SUREFOOT_STRANGERS`` names.
     """
-    sys.path.insert(1, os.environ.get("SUREFOOT_STRANGERS_CODE", os.environ["SUREFOOT_STRANGERS"]))
+    sys.path.append(os.environ["SUREFOOT_STRANGERS"])
     walker: gym.Env[Any, Any] = import_module("g1_policy").G1Walk(policy)
     return walker

@@ -65,7 +65,7 @@ def test_logs_hold_what_was_walked(results: WalkStudyResults) -> None:
 
 def test_every_method_saw_the_same_walks(results: WalkStudyResults) -> None:
     table = results.yardsticks
-    assert set(table["method"]) == METHODS | {"floor", "baseline", "reference"}
+    assert set(table["method"]) == METHODS | {"true-map", "baseline", "reference"}
     for against in ("truth", "baseline"):
         counted = table[table["against"] == against].groupby(["condition", "method"])["seed"].nunique()
         assert (counted == 2).all()
@@ -80,8 +80,8 @@ def test_the_floor_lies_below_a_bad_start(results: WalkStudyResults) -> None:
         (results.yardsticks["condition"] == "bad-start") & (results.yardsticks["against"] == "truth")
     ]
     mean = table.groupby("method")["cell"].mean()
-    assert mean["floor"] < mean["none"]
-    assert mean["floor"] == mean.min()
+    assert mean["true-map"] < mean["none"]
+    assert mean["true-map"] == mean.min()
 
 
 def test_the_loop_is_paired(results: WalkStudyResults) -> None:

@@ -14,7 +14,7 @@ from _refusals import refusals
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.episodes import Episode, EpisodePlan, plan_from_toml, replay_episode, run_plan
 from surefoot.experiments.episodes import episode as episodes
-from surefoot.experiments.episodes.episode import episode_moments, episode_row
+from surefoot.experiments.episodes.episode import episode_row, episode_steps
 from surefoot.experiments.episodes.plan import walk_episode
 from surefoot.experiments.episodes.run import EPISODES
 from surefoot.experiments.study.store import StudyError
@@ -125,7 +125,7 @@ def test_a_file_is_refused(text: str, message: str, tmp_path: Path) -> None:
 def test_an_episode_is_the_closed_loop_at_true_feet() -> None:
     plan = replace(SHORT, feeds=("true",), scenarios=("speed-0.04",), seeds=(7,), duration=4.3, settle=4.0)
     row = episode_row(plan.episodes[0])
-    moments = [*episode_moments(walk_episode("true", speed=0.04, seed=7, duration=4.3))]
+    moments = [*episode_steps(walk_episode("true", speed=0.04, seed=7, duration=4.3))]
     assert (row["time"], row["fell"]) == (pytest.approx(moments[-1].time), moments[-1].fell)
     assert row["return"] == pytest.approx(sum(moment.reward for moment in moments))
     assert row["cop_error"] == 0.0

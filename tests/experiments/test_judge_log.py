@@ -17,11 +17,11 @@ from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.walking.calibrate import calibrate_log
 from surefoot.experiments.walking.claims import claims_of, fit_claims
 from surefoot.experiments.walking.hypotheses import hypotheses
-from surefoot.experiments.walking.judge import Verdict, judge_log
+from surefoot.experiments.walking.judge import Judgement, judge_log
 from surefoot.experiments.walks.replay import starting_map
 
 
-def judge(log: Log) -> Verdict:
+def judge(log: Log) -> Judgement:
     return judge_log(log, starting_map(log))
 
 

@@ -209,7 +209,7 @@ def test_code_that_changes_meanwhile_is_refused(tmp_path: Path, monkeypatch: pyt
 def test_legends_fit_their_figure_and_single_values_have_room() -> None:
     figure = Figure(figsize=(4.0, 3.0), layout="constrained")
     axes = grid_of(figure, 1, 1)[0, 0]
-    for name in ("floor", "none", "tare", "quasi-static", "window", "baseline"):
+    for name in ("true-map", "none", "tare", "quasi-static", "window", "baseline"):
         draw_curve(axes, [1.0], [2.0], look_of(name))
         assert axes.lines[-1].get_marker() == look_of(name).marker
     legend_below(figure, axes)

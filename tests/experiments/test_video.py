@@ -40,6 +40,6 @@ def test_a_driver_that_fails_is_named_with_a_cure(monkeypatch: pytest.MonkeyPatc
     def broken(*_: object, **__: object) -> object:
         raise RuntimeError("no context\nand much more")
 
-    monkeypatch.setattr(video, "episode_moments", broken)
+    monkeypatch.setattr(video, "episode_steps", broken)
     with pytest.raises(OSError, match=r"can be drawn here \(RuntimeError: no context\); install an OpenGL"):
         video.film_walks(Path("walk.mp4"), ["true"], speed=0.04, seed=0, duration=4.0)

@@ -141,14 +141,16 @@ def test_targets_are_judged(nees: float, inside: bool) -> None:
 
 
 def test_alarm_rates_have_an_exact_interval() -> None:
-    scores = scores_of(PLAIN.name, {"tare": [1, 1], "floor": [1, 1]}, alarms=1.0)
+    scores = scores_of(PLAIN.name, {"tare": [1, 1], "true-map": [1, 1]}, alarms=1.0)
     ((name, hours, alarms, rate, interval),) = alarm_table(scores).rows
     # Two events: Garwood's interval of a Poisson mean is 0.242 to 7.22.
     assert (name, hours, alarms, rate, interval) == ("swing tare", "1.00", "2", "2.00", "0.242 to 7.22")
 
 
 def test_tables_say_what_is_missing_with_a_dash() -> None:
-    scores = scores_of(PLAIN.name, {"floor": [0.01, 0.01], "none": [9, 8]}, converged=[0, 0, np.inf, np.inf])
+    scores = scores_of(
+        PLAIN.name, {"true-map": [0.01, 0.01], "none": [9, 8]}, converged=[0, 0, np.inf, np.inf]
+    )
     table = scenario_table(scores, PLAIN)
     floor, none = (dict(zip(table.columns, row, strict=True)) for row in table.rows)
     assert floor["ends worse"] == floor["converged (s)"] == "–"

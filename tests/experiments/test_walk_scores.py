@@ -64,7 +64,7 @@ def test_true_map_undoes_gains_and_offsets(log: Log) -> None:
         log.truth, scale=np.tile(scale, (len(log), 1)), offset=np.tile(offset, (len(log), 1))
     )
     stream = stream_of(dataclasses.replace(log, raw=raw, truth=truth))
-    (floor,), (start,) = play([stream], "floor"), play([stream], "none")
+    (floor,), (start,) = play([stream], "true-map"), play([stream], "none")
     np.testing.assert_allclose(floor.force, truth.force, atol=1e-9)
     row, raw_row = score_run(stream, floor), score_run(stream, start)
     assert row["scale"] < 1e-12

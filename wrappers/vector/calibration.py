@@ -70,7 +70,7 @@ class BatchCalibration:
         return {name: part[robot].copy() for name, part in self.ended.items()}
 
     def _begin(self, which: list[int], seeds: Sequence[int | None], choice: str | None) -> None:
-        """Start episodes of robots; of those that have learnt nothing for long the first one is told."""
+        """Start episodes of robots; warn once, about the first robot that has learnt nothing for long."""
         for i in which:
             robot = self.robots[i]
             self._judged = self._judged or robot.judge()
