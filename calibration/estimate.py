@@ -3,6 +3,8 @@
 from enum import IntFlag
 from typing import NamedTuple
 
+import numpy as np
+
 from surefoot.calibration.arrays import Array
 
 
@@ -11,7 +13,13 @@ class Flag(IntFlag):
 
     >>> Flag(3)
     <Flag.MISSING|OUT_OF_RANGE: 3>
+    >>> Flag(np.int64(9216))  # of an array
+    <Flag.DEAD|LOST: 9216>
     """
+
+    @classmethod
+    def _missing_(cls, value: object) -> "Flag":
+        return cls(int(value)) if isinstance(value, np.integer) else super()._missing_(value)
 
     MISSING = 1
     """No reading arrived (NaN): the last one is held."""
@@ -20,7 +28,8 @@ class Flag(IntFlag):
     """The reading is infinite, is a force that no foot can see, or has leapt away: the last one is held."""
 
     REFERENCE = 4
-    """The reference is not finite or not physical: the last one is held and nothing is learnt from it."""
+    """The reference is not finite or not of a robot's size (metres?): the last one is held, and nothing is
+    learnt from it."""
 
     GAP = 8
     """The time since the last sample is zero, negative or far too long: filter and window are empty again."""

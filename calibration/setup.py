@@ -115,6 +115,8 @@ class OnlineSetup:
         """Raise an error if a value has no meaning."""
         check_kind("layout", self.layout, FeetLayout)
         check_positive(self, "mass", "dt", "gravity", "plausible_weights")
+        if self.dt > 1.0:
+            raise ValueError(f"'dt' must be at most 1 s between samples, to follow a step; got {self.dt} s.")
         check_not_negative(self, "force_threshold")
         if not isinstance(self.initial, Parameters):
             raise TypeError(

@@ -96,6 +96,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 #define SF_LONGEST_GAP 5.0
 #define SF_SLOPE_SAMPLES 3
 #define SF_LARGEST_REFERENCE ((sf_real)1e6)
+#define SF_FARTHEST ((sf_real)5)
 #define SF_LARGEST_WEIGHTS ((sf_real)5.0)
 #define SF_FLOOR ((sf_real)1e-5)
 #define SF_LONGEST_LEAP 3
@@ -394,6 +395,8 @@ SF_API void sf_check(const sf_config *c, sf_front *s, const sf_real *raw, const 
     sample->gap = !(dt > 0 && dt <= SF_LONGEST_GAP * c->dt);
     sample->sound = 1;
     for (int i = 0; i < R; i++) sample->sound = sample->sound && sf_fabs(motion[i]) <= SF_LARGEST_REFERENCE;
+    for (int i = 0; i < 3 * c->feet; i++)
+        sample->sound = sample->sound && sf_fabs(motion[SF_SOLES + i] - motion[SF_COM + i % 3]) <= SF_FARTHEST;
     for (int i = 0; i < c->channels; i++) {
         sample->read[i] = raw[i] >= c->lowest[i] && raw[i] <= c->highest[i];
         sample->flags[i] = (sample->read[i] ? 0 : raw[i] == raw[i] ? SF_OUT_OF_RANGE : SF_MISSING) |

@@ -46,6 +46,8 @@ class Learnt(NamedTuple):
     masses: Masses  # the robot's beliefs of its bodies
 
 
+_OF_THE_ROBOT: Final = frozenset({"curves", "dt", "layout", "mass"})  # what a user's loop gives a calibrator
+
 ALIASED: Final = 4.0
 """Ripple of feet that are read in one substep of a control step: the last of ten substeps was from their mean
 as far on a G1 that walks with targets held for 20 ms."""
@@ -105,6 +107,11 @@ class CalibrationSetup:
         **options: Any,
     ) -> None:
         self.method, options = resolve_method(method, options)
+        if own := sorted(_OF_THE_ROBOT & options.keys()):
+            raise ValueError(
+                f"'{own[0]}' is no option of {owner}: it follows from the robot's model and its sensors. "
+                "What the robot believes wrongly is 'errors', such as errors={'mass': 0.02}."
+            )
         self.given = options
         self.errors = belief_errors(errors)
         instruments, drawing = equipment.instruments, equipment.drawing

@@ -55,9 +55,10 @@ class Chances:
         upright, standing = (round(100 * part / samples) for part in (upright, standing))
         warnings.warn(
             f"SelfCalibration has learnt nothing in {samples * dt:.0f} s, and readings stay at the "
-            f"starting map: the robot was upright in {upright} % of the samples and had a foot surely on the "
-            f"ground in {standing} %, for {longest * dt:.1f} s at most. It learns while a robot "
-            "stands or walks.",
+            f"starting map: the robot was sure of its motion (upright, no blows) in {upright} % of the "
+            f"samples, and of a foot on the ground as well in {standing} %, {longest * dt:.1f} s at most. "
+            "It learns while a robot stands or walks; one that falls within a second, as before training, "
+            "gives nothing to learn: train it on true feet first.",
             stacklevel=4,
         )
         return True

@@ -19,6 +19,7 @@ from surefoot.calibration.reference import MomentumReference, Reference, referen
 from surefoot.calibration.setup import OnlineSetup
 
 LARGEST_REFERENCE = 1e6  # magnitude, in any unit, beyond which a value of a reference is taken for an error
+FARTHEST = 5.0  # distance of the centre of mass from a sole in m, along an axis, that no robot on feet has
 LARGEST_WEIGHTS = 5.0  # vertical force, in body weights, beyond which a reference is taken for an error
 LARGEST_REACH = 10.0
 """Distance of a reference's centre of pressure from a sole, in foot lengths, taken for an error."""
@@ -105,6 +106,12 @@ class Motions:
             reference.R_level_sole.reshape(-1),
         )
         return np.concatenate(parts, dtype=np.float64)
+
+    def sound(self, motion: Array) -> bool:
+        """Return whether a flat reference, (R,), is finite and of a robot's size: no millimetres."""
+        com, soles = motion[self.columns.com], motion[self.columns.position_sole].reshape(-1, 3)
+        finite = (np.abs(motion) <= LARGEST_REFERENCE).all()
+        return bool(finite and (np.abs(soles - com) <= FARTHEST).all())
 
     def unflatten(self, motion: Array, stance: Array, swing: Array) -> Reference:
         """Return a flat motion as a reference again, with contacts of its own."""

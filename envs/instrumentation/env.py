@@ -111,7 +111,9 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         description = _describe(base, foreign, soles, spec, in_place)
         given: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
         self.untouched = (
-            "dm_control's physics holds it" if foreign else "there is no description of it: give 'spec'"
+            "dm_control's physics holds it"
+            if foreign
+            else "there is no description of it: give InstrumentedEnv a 'spec'"
         )
         self.instrumentation: Instrumentation | None = None
         samples = count_substeps(base)

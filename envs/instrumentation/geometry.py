@@ -168,13 +168,20 @@ def below(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
     return hangs
 
 
-def check_layout(body: str, cells: ArrayLike) -> Floats:
-    """Return four places of cells, or raise ValueError if they are not four or not finite."""
+def check_layout(foot: FootGeometry, cells: ArrayLike) -> Floats:
+    """Return four places of cells; ValueError if they are not four, not finite, or far from the sole."""
     places = np.asarray(cells, dtype=np.float64)
     if places.shape != (4, 2) or not np.isfinite(places).all():
         raise ValueError(
-            f"The cells of '{body}' must be four finite places (x, y) in its sole's frame in m, front-left, "
-            f"front-right, rear-left, rear-right, got shape {places.shape}: {places.tolist()}."
+            f"The cells of '{foot.body}' must be four finite places (x, y) in its sole's frame in m, "
+            f"front-left, front-right, rear-left, rear-right, got shape {places.shape}: {places.tolist()}."
+        )
+    low, high = foot.polygon.min(axis=0), foot.polygon.max(axis=0)
+    # Cells may stand out from under a sole, but no farther than it is long or wide.
+    if np.any((places < 2.0 * low - high) | (places > 2.0 * high - low)):
+        raise ValueError(
+            f"The cells of '{foot.body}' must be under its sole, which reaches from {low.round(3).tolist()} "
+            f"to {high.round(3).tolist()}, got {places.tolist()}; places are in m, in the sole's frame."
         )
     return places
 

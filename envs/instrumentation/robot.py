@@ -253,7 +253,7 @@ def _places(
         if foot.body in cells and foot.flaw:
             raise ValueError(foot.flaw)
         if foot.body in cells:
-            places.append(check_layout(foot.body, cells[foot.body]))
+            places.append(check_layout(foot, cells[foot.body]))
         else:
             places.append(None if foot.flaw else foot.layout(margin))
     return tuple(places)

@@ -85,7 +85,7 @@ def evaluate(
     ] = None,
     seeds: Annotated[int, Option(help="Episodes of each.", min=1)] = 50,
     first_seed: Annotated[int, Option(help="Seed of the first of them.", min=0)] = 20_000,
-    out: Annotated[Path | None, Option(help="Folder for the results; an interrupted one goes on.")] = None,
+    out: Annotated[Path | None, Option(help="Folder for page and results; else only a table.")] = None,
     page_of: Annotated[Names, Option(help="Only a page of FILE or CONTROLLER=FILE; again for more.")] = None,
     jobs: Jobs = 1,
     as_json: Json = False,
@@ -143,16 +143,19 @@ def _report(frame: Any, out: Path | None, as_json: bool) -> None:
     if out is not None:
         with working("drawing the page"):
             files["page"] = write_evaluation(frame, failed, out).page
-    show([score_table(frame)], files, as_json=as_json)
+    title = f"{frame['scenario'].iloc[0]}: feet of different kinds"
+    show([score_table(frame, title=title)], files, as_json=as_json)
 
 
 def sweep(
     plan: Annotated[Path | None, Argument(help="TOML of a sweep; options replace its values.")] = None,
     controller: Annotated[Names, Option(help=f"{CONTROLLERS}; again for more.")] = None,
     feed: Feeds = None,
-    scenario: Annotated[Names, Option(help="A scenario; again for more.")] = None,
-    severity: Annotated[Numbers, Option(help="Factor of the cells' errors; again for more.")] = None,
-    seeds: Annotated[int | None, Option(help="Episodes of each combination.", min=1)] = None,
+    scenario: Annotated[Names, Option(help="A scenario; again for more; else speed-0.04.")] = None,
+    severity: Annotated[
+        Numbers, Option(help="Factor of the cells' errors; again for more; else 1 and 3.")
+    ] = None,
+    seeds: Annotated[int | None, Option(help="Episodes of each combination; else 10.", min=1)] = None,
     first_seed: Annotated[int | None, Option(help="The first of the seeds; else 0.", min=0)] = None,
     duration: Annotated[float | None, Option(help="Longest duration of an episode in s.")] = None,
     out: Annotated[Path, Option(help="Folder of the sweep; an interrupted one goes on.")] = Path("out/sweep"),

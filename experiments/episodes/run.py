@@ -118,8 +118,10 @@ class Replayed:
 
     @property
     def different(self) -> tuple[str, ...]:
-        """Names of the outcomes that came out otherwise, in any digit."""
-        return tuple(name for name in (*OUTCOME, "error") if not _same(self.then[name], self.now[name]))
+        """Names of the outcomes that came out otherwise, in any digit; of errors the last line counts."""
+        changed = [name for name in OUTCOME if not _same(self.then[name], self.now[name])]
+        last = {str(row["error"]).strip().rpartition("\n")[2] for row in (self.then, self.now)}
+        return (*changed, *(["error"] if len(last) > 1 else []))
 
     @property
     def other_versions(self) -> tuple[str, ...]:

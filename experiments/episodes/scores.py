@@ -91,7 +91,7 @@ class Recovery(NamedTuple):
 
 
 def recovery_share(frame: Frame, feed: str, severity: float) -> Recovery | None:
-    """Return the share that a feed wins back; ``None`` if it is no calibration, or shares no seeds."""
+    """Return the share that a feed wins back; ``None`` if it is no calibration, or 'true' or 'none' lack."""
     if feed in ("true", "none"):
         return None
     runs = [_returns(frame, Run(name), severity) for name in (feed, "none", "true")]
@@ -153,7 +153,8 @@ class HalfFall:
 
     def _number(self, value: float) -> str:
         if np.isinf(value):
-            return f"above {self.highest:g}" if value > 0 else f"below {self.lowest:g}"
+            below = f"below {self.lowest:g}" if self.lowest > 0.0 else "more than half at 0"
+            return f"above {self.highest:g}" if value > 0 else below
         return decimal(value, ".3g")
 
 

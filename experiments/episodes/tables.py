@@ -115,9 +115,9 @@ def score_table(frame: Frame, name: str = "policy", title: str = "Feet of differ
     keys = ["feed", "severity"]
     rows = [runs for part in own.values() for _, runs in part.groupby(keys, sort=False)]
     note = (
-        f"{means} with 95 % intervals; 'loss won back' cannot be told where drifting feet cost nothing "
-        "beyond the interval, or that of the share is wider than 100 % to either side; of fewer than "
-        f"{FEW_FALLS} falls the shortest and the longest time."
+        f"{means} with 95 % intervals; 'loss won back' needs the feeds 'true' and 'none', and cannot be told "
+        "where drifting feet cost nothing beyond the interval, or that of the share is wider than 100 % to "
+        f"either side; of fewer than {FEW_FALLS} falls the shortest and the longest time."
     )
     return table_of(name, title, columns, rows, note)
 

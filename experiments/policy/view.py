@@ -117,7 +117,8 @@ def network_of(model: Any, view: PolicyView, notes: Mapping[str, Any] | None = N
     if weights[0].shape[1] != len(view.inputs):
         raise ValueError(
             f"The model takes {weights[0].shape[1]} inputs, and PolicyView shows {len(view.inputs)}: it was "
-            "trained on another task."
+            "trained on another task (--task says which), or not on a PolicyView; evaluate such a model as "
+            "'module:function'."
         )
     # The last column of the inputs' matrix stands for a constant one.
     scale, shift = view.inputs[:, :-1], view.inputs[:, -1]
@@ -158,7 +159,9 @@ def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bo
         raise PolicyFileError(f"'{zip_path}' cannot be opened as a Stable-Baselines3 PPO: {error}") from error
     env, _ = make_task("true", task=task)
     try:
-        network = network_of(model, PolicyView(env, task), {"from": zip_path.name})
+        network = network_of(
+            model, PolicyView(env, task), {"from": zip_path.name, "task": find_task(task).env_id}
+        )
     finally:
         env.close()
     network.save(path)

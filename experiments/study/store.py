@@ -169,6 +169,8 @@ class Store:
     def _explain_errors(self) -> Iterator[None]:
         try:
             yield
+        except (FileExistsError, NotADirectoryError) as error:
+            raise StudyError(f"'{self.folder}' is a file, or lies below one; name a folder.") from error
         except OSError as error:
             raise StudyError(
                 f"cannot write to '{self.folder}': {error.strerror or error}. The {len(self.outcomes)} cases "

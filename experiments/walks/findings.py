@@ -74,8 +74,10 @@ def claims_of(scores: Frame) -> list[Claim]:
         after = 1e3 * float(faulty["after"].mean())
         claims.append(at_most("CoP after a fault (mm)", after, 6.0, with_interval(faulty["after"], 1e3)))
     hours = float(own["hours"].sum())
-    rate = float(own["alarms"].sum()) / hours
-    claims.append(at_most(f"false alarms per hour (in {hours:.2f} h)", rate, 1.0))
+    # In less than an hour none is what one an hour looks like as well.
+    if hours >= 1.0:
+        rate = float(own["alarms"].sum()) / hours
+        claims.append(at_most(f"false alarms per hour (in {hours:.2f} h)", rate, 1.0))
     return claims
 
 

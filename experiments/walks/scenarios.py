@@ -103,8 +103,9 @@ class Scenario:
 
     @property
     def loops(self) -> bool:
-        """Whether a sweep can run it: on load cells; a clock's error has no place in a closed loop."""
-        walks = self.study == "walks" and self.condition == "chips" and not (self.long or self.clock_error)
+        """Whether a sweep can run it: on load cells, and nobody holds the robot or sets its clock wrong."""
+        recorded_alone = self.long or self.clock_error or self.held[0]
+        walks = self.study == "walks" and self.condition == "chips" and not recorded_alone
         return walks or self.study == "loops"
 
     def length(self, duration: float) -> float:

@@ -63,7 +63,7 @@ class CellsUnderFeet:
         if not self._one_a_foot and (places is None or below is None):
             raise ValueError(
                 f"{drawing.flaw} Or choose six-axis sensors in the ankles, such as "
-                "FootSensors(env, 'icub-force-torque'), or one load cell a foot, "
+                "FootSensors(env, 'icub-ftsens'), or one load cell a foot, "
                 f"FootSensors(env, LoadCells(channels={feet}, polarity=(1,)))."
             )
         if config.channels not in (feet, 4 * feet):

@@ -79,6 +79,6 @@ def _parse(words: Any, probability: Any) -> FaultChance:
     except ValueError as error:
         raise ValueError(
             f"A fault by chance reads 'dies', 'at t=5 s sticks' or 'within 20 s drops 30 %', without a cell; "
-            f"got {words!r}: {error}"
+            f"got {words!r}. {str(error).partition(', got')[0]}."
         ) from None
     return FaultChance(fault, within, float(probability))

@@ -320,6 +320,7 @@ STREAM = {
     "time is infinite": ({"dt": np.inf}, Flag.GAP),
     "com is NaN": ({"com": np.nan}, Flag.REFERENCE),
     "com is 1e30": ({"com": 1e30}, Flag.REFERENCE),
+    "com is in mm": ({"com": 250.0}, Flag.REFERENCE),
     "soles are infinite": ({"position_sole": np.inf}, Flag.REFERENCE),
     "rotation is -1e30": ({"R_level_sole": -1e30}, Flag.REFERENCE),
 }

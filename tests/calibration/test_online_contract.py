@@ -279,6 +279,7 @@ test_a_setup_without_meaning_is_refused = refusals(
     lambda options: OnlineSetup(**{"layout": LAYOUT, "mass": MASS, "initial": NOMINAL, **options}),
     ({"mass": -1.0}, "'mass' must be positive and finite, got -1.0"),
     ({"dt": 0.0}, "'dt' must be positive and finite, got 0.0"),
+    ({"dt": 10.0}, "'dt' must be at most 1 s between samples, to follow a step; got 10.0 s."),
     ({"lag": -1}, "'lag' must be a whole number of samples from 0 on, got -1"),
     ({"lag": 1.5}, "'lag' must be a whole number of samples from 0 on, got 1.5"),
     ({"force_threshold": np.nan}, "'force_threshold' must not be negative and must be finite, got nan"),

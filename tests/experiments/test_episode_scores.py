@@ -99,7 +99,7 @@ def test_half_fall_where_it_is_not_reached() -> None:
     assert (beyond.severity, beyond.words()) == (inf, "not reached up to 4")
     below = half_fall(fallen([0.0] * 10))
     assert below is not None
-    assert (below.severity, below.words()) == (-inf, "below 0")
+    assert (below.severity, below.words()) == (-inf, "more than half at 0")
     near = half_fall(fallen([1.5] * 6 + [9.0] * 5))
     assert near is not None
     assert near.high == inf

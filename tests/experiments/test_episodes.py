@@ -36,6 +36,7 @@ test_a_plan_refuses = refusals(
     ({"seeds": (3, 4, 3)}, "'seeds' holds 3 twice: the same episodes would be run again."),
     ({"severities": (1, 1.0)}, "'severities' holds 1.0 twice"),
     ({"scenarios": ("uphill",)}, "There is no scenario 'uphill'. Available: speed-0.02, speed-0.04"),
+    ({"scenarios": ("walking-held",)}, "There is no scenario 'walking-held'."),
     ({"feeds": ("kalman",)}, "There is no feed 'kalman'. Available: 'true', 'none'"),
     (
         {"controllers": ("pid",)},

@@ -170,6 +170,7 @@ def test_a_zip_is_opened_only_on_trust(tmp_path):
     assert not (tmp_path / "p.npz").exists()
     exported = export_zip(tmp_path / "model.zip", tmp_path / "p.npz", trusted=True)
     np.testing.assert_allclose(weights(exported), weights(network_of(model, env)), rtol=1e-12)
+    assert exported.notes == {"from": "model.zip", "task": "surefoot/NaoBalance-v0"}
     with pytest.raises(PolicyFileError, match="Stable-Baselines3 zip"):
         PolicyNetwork.load(tmp_path / "model.zip")
     (tmp_path / "bad.zip").write_bytes(b"PK\x03\x04")

@@ -31,7 +31,7 @@ SERVES = {
     ],
     "icub": ["python -c 'from surefoot.envs.leg_rig import icub; icub.load_icub_leg_spec().compile()'"],
     "robots": ["python -c 'from surefoot import envs; envs.load_robot_spec(\"g1\").compile()'"],
-    "rl": ["python -c 'import surefoot.wrappers.vector.sb3, moviepy'"],
+    "rl": ["python -c 'import surefoot.wrappers.vector.sb3'"],
     "gpu": ["python -c 'import surefoot.wrappers.gpu'"],
     "experiments": ["surefoot --help", "surefoot calibrate ft --sample", "surefoot sweep --scenarios"],
     "ros": ["surefoot calibrate walk no.bag > said 2>&1; cat said; grep -q 'no such bag' said"],

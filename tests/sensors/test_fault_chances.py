@@ -59,6 +59,9 @@ test_what_is_no_chance_is_refused = refusals(
     ({"dies": "often"}, r"must be the probability .*; got 'often'\.$"),
     ({"dies": float("nan")}, r"must be the probability .*; got nan\.$"),
     ({3: 0.1}, r"^A fault by chance is named by words such as 'dies', got 3\.$"),
-    ({"explodes": 0.1}, r"^A fault by chance reads 'dies', 'at t=5 s sticks' or .*got 'explodes': "),
+    (
+        {"explodes": 0.1},
+        r"^A fault by chance reads 'dies', 'at t=5 s sticks' or .*got 'explodes'\. A cell dies",
+    ),
     ({"at t=3 s cell left/2 dies": 0.1}, r"without a cell; got 'at t=3 s cell left/2 dies'"),
 )

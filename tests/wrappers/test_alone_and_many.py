@@ -183,7 +183,7 @@ def test_of_robots_that_have_learnt_nothing_one_is_told(method: str) -> None:
     for robot in many.calibration.robots:
         for _ in range(850):
             robot._chances.add(False, False)
-    told_why = "has learnt nothing in 11 s, .* upright in 0 % .* in 0 %, for 0.0 s at most"
+    told_why = "has learnt nothing in 11 s, .* sure of its motion .* in 0 % .* in 0 %, 0.0 s at most"
     with pytest.warns(UserWarning, match=told_why) as told:
         many.reset()
     assert len(told) == 1

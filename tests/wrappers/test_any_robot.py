@@ -140,7 +140,7 @@ def test_feet_without_soles_have_forces_and_one_centre_of_pressure_together() ->
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_episodes_are_filmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("moviepy", reason="the extra 'rl' (moviepy) is not installed")
+    pytest.importorskip("moviepy", reason="moviepy is not installed")
     monkeypatch.setenv("MUJOCO_GL", "egl")
     drawn = gym.make("surefoot/NaoStand-v0", render_mode="rgb_array")
     env = gym.wrappers.RecordVideo(FootSensors(drawn), str(tmp_path), disable_logger=True)

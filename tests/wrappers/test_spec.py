@@ -224,6 +224,7 @@ def test_the_order_of_wrappers_matters_and_is_explained(make_bare) -> None:
         ),
         (lambda env: SelfCalibration(FootSensors(env), every=0), "'every'"),
         (lambda env: SelfCalibration(FootSensors(env), typo=1), "no option 'typo'. Available"),
+        (lambda env: SelfCalibration(FootSensors(env), mass=5.3), "'mass' is no option of SelfCalibration"),
         (
             lambda env: SelfCalibration(FootSensors(env), initial="best"),
             "'nominal', 'calibrated' or Parameters",
