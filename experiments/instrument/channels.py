@@ -24,6 +24,7 @@ from surefoot.experiments.instrument.noise import (
     step_of,
 )
 from surefoot.experiments.instrument.recording import Recording
+from surefoot.experiments.logs.checks import SLOWEST, find_gaps, unit_of_times
 from surefoot.experiments.study.page import Words
 
 _settle = Words("instrument", "settle")
@@ -34,7 +35,6 @@ RAILED, LOST = (
     0.5,
 )  # shares of readings at a converter's end, and of missing ones, that are worth a word
 EPOCH = 1e8  # s, three years: a longer time is one since 1970
-SLOWEST = 1.0  # s between two rows of a log of feet from which on it is worth a word
 ALARM = 1e-6  # probability of calling a sound channel's slope a drift
 
 
@@ -104,8 +104,9 @@ def find_wrong(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wron
     """Yield the flaws of the clock and of single channels."""
     if recording.kind == "weighings":
         return  # their own judge looks at single readings
-    if recording.kind != "six-axis sensor" and "'time_s'" not in recording.refusal:
-        yield from _check_clock(recording)
+    if recording.kind != "six-axis sensor":
+        told = "'time_s'" in recording.refusal
+        yield from (one for one in _check_clock(recording) if one.finding.name == "gaps" or not told)
     constant, read = _stuck(recording), np.isfinite(recording.raw)
     nothing = ""
     if len(read) < FEWEST:
@@ -166,13 +167,15 @@ def _check_clock(recording: Recording) -> Iterator[Wrong]:
         yield _wrong(recording, row, Finding("clock", reason, cure))
     if not (steps > 0.0).any():
         return
-    if (gaps := find_leaps(time)).any():
+    usual, walks = float(np.median(steps)), recording.kind != "channels"
+    gaps = find_gaps(steps) if walks and usual < SLOWEST else find_leaps(time)
+    if gaps.any() and (steps >= 0.0).all():
         reason = f"The clock leaps {gaps.sum()} times, by {steps.max():.3g} s at most."
-        finding = Finding("gaps", reason, "Calibrate parts one by one, or with --split-gaps.", refuses=False)
+        finding = Finding("gaps", reason, "Calibrate parts one by one, or with --split-gaps.", refuses=walks)
         yield _wrong(recording, int(np.argmax(gaps)) + 1, finding)
-    if (usual := float(np.median(steps))) >= SLOWEST:
+    if usual >= SLOWEST:
         reason = f"Rows come {usual:.4g} s apart, as times in another unit than seconds do."
-        cure = f'Say the unit in {Path(recording.file).stem}.toml: [units] time_s = "ms".'
+        cure = f'Say the unit in {Path(recording.file).stem}.toml: [units] time_s = "{unit_of_times(usual)}".'
         yield _wrong(recording, 0, Finding("rate", reason, cure, usual, SLOWEST, refuses=False))
 
 

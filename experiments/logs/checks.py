@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.arrays import Floats
 from surefoot.calibration import CalibrationRefused
@@ -19,6 +20,9 @@ LISTED = f"{page('log-format')} lists every column and its unit."
 OF_USE = re.compile(r"(raw|reference|momentum|truth|command|joint|accelerometer|gyroscope)_.*|packet|time_s")
 """Columns of a walk; others may hold anything."""
 
+MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's filters do not bridge more
+SLOWEST = 1.0  # s between two rows of a log of feet from which on its times are in another unit
+CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # units of time besides seconds, in s
 FARTHEST = 5.0  # distance in m of a robot's centre of mass from its soles that none goes beyond
 LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
 
@@ -33,7 +37,8 @@ def naming_cure(table: LogTable, wanted: Sequence[str]) -> str:
     file = Path(table.file)
     if not others or file.suffix.lower() not in (".csv", ".parquet"):
         return LISTED
-    return f"there are {join_names(others)}: name them under [columns] in {file.stem}.toml. {LISTED}"
+    there = join_names(others, len(table.names))
+    return f"there are {there}: name them under [columns] in {file.stem}.toml. {LISTED}"
 
 
 def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict[str, Floats]:
@@ -74,29 +79,59 @@ def _check_quaternion(values: dict[str, Floats], stem: str, file: str) -> None:
 
 def check_time(time: Floats, dt: float, max_gap: float, file: str) -> None:
     """Raise LogError if times in s, shape (N,), leap or do not step as the description says."""
-    check_increasing(time, file)
+    leaps = _say_leaps(np.diff(time), max_gap)
+    check_increasing(time, file, besides=f" It also {leaps}" if leaps else "")
     step = np.diff(time)
     median = float(np.median(step))
-    if abs(median / dt - 1.0) > 0.1:
-        units = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+    disagrees = abs(median / dt - 1.0) > 0.1
+    if disagrees or median >= SLOWEST:
         toml = f"{file.rpartition('.')[0]}.toml"
-        near = [name for name, u in units.items() if abs(median / dt / u - 1.0) < 0.1]
+        unit = unit_of_times(median, dt if disagrees else np.nan)
+        where = f"the description says dt_s = {dt:.6g}" if disagrees else "feet have several rows a second"
         cure = "give time in seconds and the step that belongs to it."
-        if abs(float(step.mean()) / dt - 1.0) < 0.1:
+        if abs(float(step.mean()) / dt - 1.0) < 0.1 and disagrees:
             cure = f"rows come in bursts: give the times of readings, or in '{toml}' [rates], rows a second."
-        if near:
-            cure = f"it looks like {near[0]}: say so in '{toml}', [units] time_s = \"{near[0]}\"."
+        if unit:
+            cure = f"it looks like {unit}: say so in '{toml}', [units] time_s = \"{unit}\"."
+        raise LogError(f"{file}: column 'time_s' steps by {median:.6g} where {where}; {cure}")
+    if leaps:
+        raise LogError(f"{file}: column 'time_s' {leaps}")
+
+
+def unit_of_times(step: float, dt: float = np.nan) -> str:
+    """Return the unit of times of which a step is ``dt`` s or, by default, one of feet; "" if none fits."""
+    for unit, one in CLOCKS.items():
+        if step * one <= MAX_GAP if np.isnan(dt) else abs(step * one / dt - 1.0) < 0.1:
+            return unit
+    return ""
+
+
+def find_gaps(step: Floats, max_gap: float = MAX_GAP) -> NDArray[np.bool_]:
+    """Return which steps of time in s are longer than a log may have, of the same shape."""
+    return np.asarray(step > max_gap + 1e-6)  # seconds since 1970 are as coarse as that
+
+
+def _say_leaps(step: Floats, max_gap: float) -> str:
+    """Return how time leaps, "" if it does not or rows are out of order, and the cure."""
+    leaps = find_gaps(step, max_gap)
+    if not leaps.any() or not (step >= 0.0).all():
+        return ""
+    row, many = int(np.argmax(leaps)) + 1, int(leaps.sum())
+    more = f"; {many} such rows in all, the longest by {step.max():.3g} s" if many > 1 else ""
+    return (
+        f"leaps by {step[row - 1]:.3g} s at row {row} (at most {max_gap:g} s{more}); cut the log there and "
+        "calibrate the parts one by one, or bridge it with --split-gaps."
+    )
+
+
+def check_readings(raw: Floats, names: Sequence[str], file: str) -> None:
+    """Raise LogError if a column of readings, (N, K), is empty: its offset cannot be read in the air."""
+    empty = [name for name, column in zip(names, raw.T, strict=True) if np.isnan(column).all()]
+    if empty:
+        more = f", as {len(empty) - 1} others," if empty[1:] else ""
         raise LogError(
-            f"{file}: column 'time_s' steps by {median:.6g} where the description says dt_s = {dt:.6g}; "
-            f"{cure}"
-        )
-    # Seconds since 1970 are as coarse as that.
-    leaps = step > max_gap + 1e-6
-    if leaps.any():
-        row = int(np.argmax(leaps)) + 1
-        raise LogError(
-            f"{file}: column 'time_s' leaps by {step[row - 1]:.3g} s at row {row} (at most {max_gap:g} s); "
-            "cut the log there and calibrate the parts one by one, or bridge it with --split-gaps."
+            f"{file}: column '{empty[0]}'{more} holds no reading in any of {len(raw)} rows, and the "
+            "description's nominal has no 'offset_N'; check its cable and its name, or give 'offset_N'."
         )
 
 
@@ -106,8 +141,11 @@ def check_load_cells(layout: FeetLayout, what: str) -> None:
         raise LogError(f"The page shows two feet on load cells, and this {what} has others.")
 
 
-def check_increasing(time: Floats, file: str, *, repeats: bool = False) -> None:
-    """Raise LogError if times are not increasing; with ``repeats`` packets that arrive together may be."""
+def check_increasing(time: Floats, file: str, *, repeats: bool = False, besides: str = "") -> None:
+    """Raise LogError if times are not increasing; with ``repeats`` packets that arrive together may be.
+
+    ``besides`` is a sentence that is said besides.
+    """
     if len(time) < 2:
         raise LogError(f"{file}: one row alone is no log; record some seconds.")
     # Written so that a NaN, which compares as neither, is refused as well.
@@ -119,7 +157,7 @@ def check_increasing(time: Floats, file: str, *, repeats: bool = False) -> None:
         more = f"; {wrong.sum()} such rows in all" if wrong.sum() > 1 else ""
         raise LogError(
             f"{file}: column 'time_s' does not increase at row {row} "
-            f"({time[row - 1]:.13g} s, then {time[row]:.13g} s{more}); {cure}."
+            f"({time[row - 1]:.13g} s, then {time[row]:.13g} s{more}); {cure}.{besides}"
         )
 
 

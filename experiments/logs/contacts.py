@@ -34,6 +34,10 @@ SWINGS, LOADED = 0.5, 0.3
 """Range of a foot's load in weights from which it is thought to step at all, and the share of its range above
 which it surely bears load."""
 
+HARDEST = 3.0
+"""Weights that the load of a foot changes by at most: those of runners do by two to three (Nilsson and
+Thorstensson 1989, Acta Physiol. Scand. 136)."""
+
 FLAT = 0.01  # std of a foot's load in weights up to which it may hang in the air
 
 Bools = NDArray[np.bool_]
@@ -90,8 +94,7 @@ def feel_contacts(load: Floats, weight: float, dt: float) -> tuple[Bools, Bools]
     The map's offsets may be wrong: a foot swings where its load is flat at the low end of its range. A foot
     whose range is less than half the weight never leaves the ground; it is neither.
     """
-    low, high = np.nanpercentile(load, (2.0, 98.0), axis=0)
-    span = high - low
+    low, span = _range_of(load)
     steps = span > SWINGS * weight
     load = np.where(np.isfinite(load), load, np.nan)
     near = 2 * round(SURE / dt) + 1
@@ -101,6 +104,25 @@ def feel_contacts(load: Floats, weight: float, dt: float) -> tuple[Bools, Bools]
     swing = flat & (np.abs(mean - low) < 2.0 * FLAT * weight) & steps & np.isfinite(load)
     stance = (load > low + LOADED * span) & steps
     return _erode(stance, dt, SURE_ALOFT), _erode(swing, dt, SURE_ALOFT)
+
+
+def check_steps(load: Floats, mass: float, file: str) -> None:
+    """Raise LogError if by the starting map no foot's load in N, (N, F), changes as a robot's in kg does."""
+    span, weight = float(_range_of(load)[1].max()), mass * GRAVITY
+    if not SWINGS < span / weight < HARDEST:
+        raise LogError(
+            f"{file}: by the nominal map no foot's load changes by more than {span:.4g} N, and mass_kg = "
+            f"{mass:.4g} weighs {weight:.4g} N: {span / weight:.3g} times as much, where a step makes "
+            f"{SWINGS:g} to {HARDEST:g}. Give scale_N_per_count in newtons (9.81 for each kilogram) and "
+            "mass_kg in kilograms; if they are, lift each foot, or give 'offset_N'."
+        )
+
+
+def _range_of(load: Floats) -> tuple[Floats, Floats]:
+    """Return the least load in N and its range of each foot, (F,) each; 0 of a foot that was never read."""
+    read = np.where(np.isfinite(load).any(axis=0), load, 0.0)
+    low, high = np.nanpercentile(read, (2.0, 98.0), axis=0)
+    return low, high - low
 
 
 def refer_to_contacts(stance: Bools, swing: Bools, position_sole: Any) -> Reference:

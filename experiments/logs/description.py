@@ -10,6 +10,7 @@ from pydantic import AliasChoices, ConfigDict, Field, PlainValidator, model_vali
 from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.weights.curves import Curves
+from surefoot.experiments.logs.checks import FARTHEST
 from surefoot.experiments.logs.settings import Number, Positive, Settings
 
 _UNITS = {"position_cell_sole": "_m", "mass_below": "_kg", "com_below_sole": "_m"}
@@ -112,8 +113,17 @@ class Description(Settings):
         for values in (*self.nominal[: 1 if unread else 2], *(self.calibrated or ())):
             if values.shape != (channels,) or not np.isfinite(values).all():
                 raise ValueError(f"a map needs {channels} finite scales and offsets, one a channel")
+        for foot in self.layout.feet:
+            places = foot.position_cell_sole
+            if places is not None and (reach := float(np.abs(places).max())) > FARTHEST:
+                raise ValueError(
+                    f"'position_cell_sole_m' of the {foot.name} foot go to {reach:.4g}, and no foot reaches "
+                    f"farther than {FARTHEST:g} m; give metres"
+                )
         if self.motion is None and "lag_samples" not in self.model_fields_set:
-            raise ValueError("lacks 'lag_samples', by how many rows the reference is late")
+            raise ValueError(
+                "lacks 'lag_samples', by how many rows the reference is late; of feet alone give 0"
+            )
         if self.motion is not None and self.lag_samples != 0:
             raise ValueError(
                 f"'lag_samples' is {self.lag_samples} beside 'motion', whose references are made for the "

@@ -24,7 +24,14 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.experiments.logs.bag import Bag, is_bag, is_motion, read_bag
-from surefoot.experiments.logs.checks import LISTED, check_columns, check_reference, check_time
+from surefoot.experiments.logs.checks import MAX_GAP as MAX_GAP
+from surefoot.experiments.logs.checks import (
+    check_columns,
+    check_readings,
+    check_reference,
+    check_time,
+    naming_cure,
+)
 from surefoot.experiments.logs.columns import (
     PHASES,
     columns_of,
@@ -36,7 +43,7 @@ from surefoot.experiments.logs.columns import (
     raw_names_of,
     stack,
 )
-from surefoot.experiments.logs.contacts import FELT, contacts, feel_contacts, refer_to_contacts
+from surefoot.experiments.logs.contacts import FELT, check_steps, contacts, feel_contacts, refer_to_contacts
 from surefoot.experiments.logs.description import Description, MotionFacts, describe
 from surefoot.experiments.logs.mapping import TableMapping, merge
 from surefoot.experiments.logs.motion import read_motion
@@ -45,7 +52,6 @@ from surefoot.files import atomic_path, parse_json, read_text, write_text
 from surefoot.names import page
 
 METADATA_KEY = b"surefoot"
-MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's filters do not bridge more
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +180,9 @@ def read_log(
         )
     curves = description.straightening
     raw = curves.straighten(stack(values, counts[1:]))
+    unread = np.isnan(facts["nominal"].offset).any()
+    if unread:
+        check_readings(raw, counts[1:], path.name)
     if alone:
         reference, more, about = _refer_to_feet(table, raw, facts)
     elif made:
@@ -187,7 +196,7 @@ def read_log(
     about |= {"notices": table.notices} if table.notices else {}
     curved = {"curves": curves.as_plain()} if curves.any else {}
     facts |= {**more, "about": facts["about"] | curved | about}
-    if np.isnan(facts["nominal"].offset).any():
+    if unread:
         late, swing = facts["lag"], np.asarray(reference.swing)
         facts["nominal"] = _tare_map(
             facts["nominal"], raw[: len(raw) - late], swing[late:], layout, path.name
@@ -222,7 +231,7 @@ def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTabl
         tables.append(moved)
     mapping.check_units(tables)
     if np.isnan(description.dt_s):
-        table.require(["time_s"], LISTED)
+        table.require(["time_s"], naming_cure(table, raw_names_of(description.layout)))
         description = description.model_copy(update={"dt_s": table.step})
     return description, table, moved
 
@@ -266,6 +275,8 @@ def _refer_to_feet(table: LogTable, raw: Floats, facts: dict[str, Any]) -> Found
         scale, offset = facts["nominal"]
         load = sole_wrenches(scale * raw + np.nan_to_num(offset), layout)[..., 2]
         stance, swing = feel_contacts(load, facts["mass"] * GRAVITY, facts["dt"])
+        if np.isnan(offset).any() and not swing.any(axis=0).all():
+            check_steps(load, facts["mass"], table.file)
         source, more = FELT, {"lag": 0}
     reference = refer_to_contacts(stance, swing, np.zeros((len(raw), feet, 3)))
     return reference, more, {"feet_alone": True, "contacts": source}

@@ -15,13 +15,13 @@ from pydantic import Field
 
 from surefoot.calibration import GRAVITY
 from surefoot.experiments.logs.bag import Bag, Series
-from surefoot.experiments.logs.checks import OF_USE, check_increasing
+from surefoot.experiments.logs.checks import CLOCKS, OF_USE, check_increasing
 from surefoot.experiments.logs.settings import Number, Positive, Settings
 from surefoot.experiments.logs.table import LogError, LogTable, join_names, read_table
 from surefoot.files import read_toml
 
 UNITS = {
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "s": {"s": 1.0} | CLOCKS,
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "m_s2": {"m/s^2": 1.0, "g": GRAVITY, "mg": 1e-3 * GRAVITY},
     "rad": {"rad": 1.0, "deg": np.pi / 180.0},

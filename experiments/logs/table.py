@@ -34,12 +34,12 @@ class LogError(ValueError):
     """A log that cannot be used; the message names the file, the column and the cure."""
 
 
-def join_names(names: Sequence[str]) -> str:
-    """Return the names of columns as a message has them."""
+def join_names(names: Sequence[str], columns: int = 1) -> str:
+    """Return the names of columns as a message has them; the table may have more columns than those."""
     shown = ", ".join(f"'{name}'" for name in names[:_LISTED])
     shown += f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     alone = " (if the separator is none of ',', ';' and tab, say csv.separator)"
-    return shown + alone if len(names) == 1 else shown
+    return shown + alone if len(names) == columns == 1 else shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +147,13 @@ def read_table(
             data = csv.read_csv(source, read, parse, convert)
         names = [name.strip() for name in data.column_names]
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        text = str(error).splitlines()[0]
+        cells = re.search(r"Expected (\d+) columns, got (\d+)", text)
+        more = cells is not None and int(cells[1]) < int(cells[2])
+        comma = " Decimal commas need another separator, such as ';'." if more else ""
         raise LogError(
-            f"{path.name}: not a readable table ({str(error).splitlines()[0]}); write a line of column names "
-            "and every row whole, and leave a cell empty where no sample arrived."
+            f"{path.name}: not a readable table ({text}); write a line of column names and every row whole, "
+            f"and leave a cell empty where no sample arrived.{comma}"
         ) from None
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

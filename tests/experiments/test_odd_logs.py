@@ -16,6 +16,7 @@ from surefoot.experiments.instrument.channels import Wrong
 from surefoot.experiments.instrument.check import check_log, wrong_table
 from surefoot.experiments.instrument.recording import read_recording
 from surefoot.experiments.instrument.twin import identify
+from surefoot.experiments.logs.checks import unit_of_times
 from surefoot.experiments.logs.format import Log, read_log, write_log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.walking.judge import judge_log
@@ -123,6 +124,118 @@ def test_what_cannot_be_read_says_why(text: str, expected: str, tmp_path: Path) 
     assert str(refused.value) == expected
 
 
+def test_decimal_commas_between_commas_are_named(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(f"time_s,{CELL}\n0,01,5\n0,02,6\n")
+    with pytest.raises(LogError, match=r"Decimal commas need another separator, such as ';'\.$"):
+        check_log(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize(("step", "unit"), [(12.5, "ms"), (500.0, "us"), (1.25e4, "us"), (1.25e7, "ns")])
+def test_a_step_of_time_tells_its_unit(step: float, unit: str) -> None:
+    assert unit_of_times(step) == unit
+
+
+CELLS = [f"raw_{foot}_{cell}_count" for foot in ("left", "right") for cell in ("heel", "ball", "toe")]
+
+
+def write_feet(path: Path, change: Callable[[pd.DataFrame, dict[str, Any]], Any]) -> Path:
+    """Write 6 s of two feet alone that step on the spot, 5 kg on three cells each, and change the log."""
+    time = np.arange(600) / 100.0
+    share = (0.5 + 0.8 * np.sin(2.0 * np.pi * time / 1.2)).clip(0.0, 1.0)[:, None] * [1.0, -1.0] + [0.0, 1.0]
+    noise = np.random.default_rng(0).normal(0.0, 100.0, (600, 6))
+    counts = np.rint(5.0 * 9.81 * share[:, [0, 0, 0, 1, 1, 1]] / 3.0 / 1e-5 + noise)
+    places = {"position_cell_sole_m": [[-0.06, 0.0], [0.05, 0.02], [0.1, 0.0]]}
+    places |= {"channel_names": ["heel", "ball", "toe"]}
+    told = {"format": "surefoot-log", "format_version": 1, "lag_samples": 0, "mass_kg": 5.0}
+    told |= {"layout": [{"name": foot, **places} for foot in ("left", "right")]}
+    told |= {"nominal": {"scale_N_per_count": [1e-5] * 6}}
+    table = pd.DataFrame(counts, columns=CELLS)
+    table.insert(0, "time_s", time)
+    changed = change(table, told)
+    (table if changed is None else changed).to_csv(path, index=False)
+    path.with_suffix(".json").write_text(json.dumps(told))
+    return path
+
+
+FEET: dict[str, tuple[Callable[[pd.DataFrame, dict[str, Any]], Any], str]] = {
+    "a mass in grams": (
+        lambda table, told: told.update(mass_kg=5000.0),
+        "by the nominal map no foot's load changes by more than 49.05 N, and mass_kg = 5000 weighs 4.905e+04 "
+        "N: 0.001 times as much, where a step makes 0.5 to 3. Give scale_N_per_count in newtons (9.81 for "
+        "each kilogram) and mass_kg in kilograms; if they are, lift each foot, or give 'offset_N'.",
+    ),
+    "a mass in tonnes": (
+        lambda table, told: told.update(mass_kg=0.005),
+        " 1e+03 times as much, where a step",
+    ),
+    "a map in kilograms": (
+        lambda table, told: told.update(nominal={"scale_N_per_count": [1.02e-6] * 6}),
+        " 0.102 times as much, where a step makes 0.5 to 3. Give scale_N_per_count in newtons",
+    ),
+    "an empty column": (
+        lambda table, told: table.assign(raw_left_toe_count=np.nan),
+        "column 'raw_left_toe_count' holds no reading in any of 600 rows, and the description's nominal has "
+        "no 'offset_N'; check its cable and its name, or give 'offset_N'.",
+    ),
+    "empty columns": (
+        lambda table, told: table.assign(**dict.fromkeys(CELLS, np.nan)),
+        "column 'raw_left_heel_count', as 5 others, holds no reading in any of 600 rows, and",
+    ),
+    "milliseconds": (
+        lambda table, told: table.assign(time_s=1e3 * table["time_s"]),
+        "column 'time_s' steps by 10 where feet have several rows a second; it looks like ms: say so in "
+        "'feet.toml', [units] time_s = \"ms\".",
+    ),
+    "microseconds": (
+        lambda table, told: table.assign(time_s=1e6 * table["time_s"]),
+        "it looks like us: say so in 'feet.toml', [units] time_s = \"us\".",
+    ),
+    "a gap": (
+        lambda table, told: table.assign(time_s=table["time_s"] + 2.0 * (table.index > 300)),
+        "column 'time_s' leaps by 2.01 s at row 301 (at most 0.1 s); cut the log there and calibrate",
+    ),
+    "a repeated time, and a gap": (
+        lambda table, told: table.assign(
+            time_s=table["time_s"].where(table.index != 9, 0.08) + 2.0 * (table.index > 300)
+        ),
+        "(0.08 s, then 0.08 s); sort the rows and drop repeated times. It also leaps by 2.01 s at row 301",
+    ),
+    "cells in millimetres": (
+        lambda table, told: told["layout"][0].update(position_cell_sole_m=[[-60, 0], [50, 20], [100, 0]]),
+        "the description: 'position_cell_sole_m' of the left foot go to 100, and no foot reaches farther "
+        "than 5 m; give metres.",
+    ),
+    "no lag": (
+        lambda table, told: told.pop("lag_samples") or None,
+        "lacks 'lag_samples', by how many rows the reference is late; of feet alone give 0.",
+    ),
+    "a time of another name": (
+        lambda table, told: table.rename(columns={"time_s": "time_ms"}),
+        "missing column time_s; there are 'time_ms': name them under [columns] in feet.toml. docs/",
+    ),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), FEET.values(), ids=FEET)
+def test_feet_alone_are_refused_by_both_commands(change: Any, message: str, tmp_path: Path) -> None:
+    path = write_feet(tmp_path / "feet.csv", change)
+    with pytest.raises(LogError) as refused:
+        read_log(path, feet_alone=True)
+    assert message in str(refused.value)
+    assert not check_log(path).sound
+
+
+def test_feet_alone_that_step_are_sound(tmp_path: Path) -> None:
+    path = write_feet(tmp_path / "feet.csv", lambda table, told: None)
+    assert np.abs(read_log(path, feet_alone=True).nominal.offset).max() < 0.01
+    assert check_log(path).wrong == ()
+
+
+def test_a_clock_that_stands_hides_no_gap(tmp_path: Path) -> None:
+    path = write_feet(tmp_path / "feet.csv", FEET["a repeated time, and a gap"][0])
+    assert [one.finding.name for one in check_log(path).wrong] == ["unreadable", "gaps"]
+
+
 DRESS: dict[str, Callable[[str], str]] = {
     "comments": lambda text: f"# rig 3\n#\n{text}",
     "Excel's line of the separator": lambda text: "sep=;\n" + text.replace(",", ";"),
@@ -147,7 +260,7 @@ def test_a_walk_says_of_its_clock_and_cells_once(bad_start: Log, tmp_path: Path)
     raw[:, 0] = raw[0, 0]
     path = write_log(dataclasses.replace(bad_start, time=time, raw=raw), tmp_path / "walk.parquet")
     found = [one.finding.name for one in check_log(path).wrong]
-    assert found == ["constant", "gaps"]
+    assert found == ["gaps", "constant"]
 
 
 def test_readings_that_repeat_are_late_and_no_mistake_of_cables(bad_start: Log) -> None:
