@@ -57,12 +57,13 @@ def bars(*beside: str, **options: Any) -> Progress:
 
 
 def each(what: str, items: Sequence[Item]) -> Iterator[Item]:
-    """Yield items one by one behind a bar that is gone at the end."""
+    """Yield items one by one behind a bar that is gone at the end; it moves a thousand times at most."""
     with bars(transient=True) as shown:
-        task = shown.add_task(what, total=len(items))
-        for item in items:
+        task, stride = shown.add_task(what, total=len(items)), len(items) // 1000 + 1
+        for done, item in enumerate(items, 1):
             yield item
-            shown.update(task, advance=1)
+            if done % stride == 0 or done == len(items):
+                shown.update(task, completed=done)
 
 
 @contextmanager
