@@ -19,7 +19,6 @@ from surefoot.experiments.instrument.channels import (
 )
 from surefoot.experiments.instrument.recording import Recording, read_recording
 from surefoot.experiments.logs.format import Log
-from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import (
     NOTHING,
@@ -34,7 +33,7 @@ from surefoot.experiments.study.tables import (
 from surefoot.experiments.walking.claims import Claims, claims_of, fit_claims, parts_of
 from surefoot.experiments.walking.hypotheses import Hypothesis
 from surefoot.experiments.walking.judge import HINT, SOUND, Judgement, judge_log, length_of
-from surefoot.experiments.walking.notices import check_weight, motion_notices
+from surefoot.experiments.walking.notices import motion_notices, weigh_feet
 from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.weights.calibrate import fit_cells, read_weighings
 from surefoot.experiments.weights.judge import Weighings, judge_weighings
@@ -53,7 +52,7 @@ class Checked:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing is wrong that a command would refuse."""
+        """Whether nothing is wrong: no command would refuse the log, and no channel is broken."""
         return not any(one.finding.refuses for one in self.wrong)
 
     @property
@@ -78,7 +77,8 @@ def _judge(recording: Recording, path: Path) -> Iterator[Wrong]:
     read = recording.read
     if recording.refusal:
         reason = recording.refusal.removeprefix(f"{recording.file}: ")
-        yield Wrong(Finding("unreadable", sentence(reason)))
+        # A refusal of another file begins with that file's name.
+        yield Wrong(Finding("unreadable", reason if reason == recording.refusal else sentence(reason)))
     elif recording.kind == "weighings":
         yield from _judge_weighings(read_weighings(path))
     elif isinstance(read, Log):
@@ -103,11 +103,8 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
     initial = starting_map(log)
     for notice in motion_notices(log):
         yield Wrong(Finding("notice", sentence(notice), refuses=False))
-    try:
-        check_weight(log, "nominal", initial, "")
-    except LogError as error:
-        text = sentence(str(error).removeprefix(": "))
-        yield Wrong(Finding("weight", text), settle=settling_motion("mass"))
+    if one := weigh_feet(log, "nominal", initial):
+        yield Wrong(replace(one, reason=sentence(one.reason)), settle=settling_motion(one.name))
         return
     if log.about.get("feet_alone"):
         return
@@ -176,12 +173,13 @@ def wrong_table(checked: Checked) -> Table:
             Verdict.of(not one.finding.refuses, "wrong" if one.finding.refuses else "note"),
             one.finding.name,
             one.since,
-            f"{one.finding.reason} {one.finding.cure}".strip(),
+            one.finding.cure or NOTHING,
             one.settle or NOTHING,
+            one.finding.reason,
         )
         for one in checked.wrong
     )
-    columns = ("", "what", "since", "what is seen, and what to do", "what would settle it")
+    columns = ("", "what", "since", "what to do", "what would settle it", "what is seen")
     title = "What is wrong" if rows else "Nothing is wrong that can be seen"
     return Table("wrong", title, columns, rows)
 
@@ -225,7 +223,9 @@ def words_of(checked: Checked) -> str:
         settle = f" What would settle it: {one.settle}" if one.settle else ""
         lines.append(f"{kind} ({one.since}): {one.finding.reason} {one.finding.cure}".rstrip() + settle)
     sound = "Sound, as far as can be seen."
-    if checked.recording.kind == "channels" and not checked.recording.has_loads:
+    if checked.recording.kind == "feet alone":
+        sound = "Clock, channels and weight are sound; feet alone show no wrong signs, places or exchanges."
+    elif checked.recording.kind == "channels" and not checked.recording.has_loads:
         sound = "Clock and channels are sound; nothing says what they carry."
     lines.append(sound if checked.sound else "Not sound.")
     return "\n".join(lines)
@@ -245,7 +245,9 @@ def facts_table(one: Recording) -> Table:
         step = float(np.median(steps))
         if step > 0.0:
             near = steps[np.abs(steps - step) < 0.5 * step]
-            rows.append(("rows", f"{1.0 / step:.4g} a second, jitter {1e3 * near.std():.2g} ms"))
+            jitter = float(near.std())
+            jitter *= jitter > np.spacing(np.abs(one.time).max())  # which a clock's numbers cannot hold
+            rows.append(("rows", f"{1.0 / step:.4g} a second, jitter {1e3 * jitter:.2g} ms"))
     if isinstance(one.read, Log):
         rows.append(("mass", f"{one.read.mass:.4g} kg"))
         rows.append(("contacts", str(one.read.about.get("contacts", "as the log says"))))

@@ -24,6 +24,7 @@ ORDERS = ("feet exchanged", "cells exchanged", "cells in another order")
 LATEST, STEP = 0.5, 0.025  # longest delay in s that is tried, and the step between two
 LEAST = 0.05  # delay in s from which on one is a mistake; below it a filter finds it
 POUND = 0.45359237  # in kg
+_TURN = "turn the signs of scale_N_per_count and offset_N round"
 ANYWHERE = 0.1  # std in m of a centre of mass of which nothing is known but the robot
 
 
@@ -42,6 +43,31 @@ def hypotheses(layout: FeetLayout) -> Iterator[Hypothesis]:
         yield from of_layout(layout)
     for of_motion in (_times, _accelerations, _places):
         yield from of_motion()
+
+
+def pulling_hypotheses(claims: Claims, layout: FeetLayout) -> Iterator[Hypothesis]:
+    """Yield every mistake by which feet seem to pull the ground.
+
+    Offsets that were read in the air are those of loaded cells if the foot was another one, or stood: they
+    are read again once the mistake is undone.
+    """
+    cause = "all channels have the other sign"
+    turned = partial(_multiply, factor=-np.ones(layout.channels))
+    yield Hypothesis("sign of channels", cause, f"{_TURN}: standing is positive", turned)
+    if claims.reference.swing.any():
+        for one in _wiring(layout):
+            yield one._replace(undo=partial(_read_offsets, undo=one.undo))
+
+
+def _read_offsets(claims: Claims, undo: Callable[[Claims], Claims]) -> Claims:
+    """Undo a mistake, and let channels read nothing on average while their foot is in the air."""
+    undone = undo(claims)
+    scale, offset = undone.initial.scale, np.array(undone.initial.offset)
+    air = undone.reference.swing[:, (undone.wrench_map != 0.0).any(axis=1).argmax(axis=0)]
+    air = air & np.isfinite(undone.raw)
+    for i in np.flatnonzero(air.any(axis=0)):
+        offset[i] = -scale[i] * np.median(undone.raw[air[:, i], i])
+    return replace(undone, initial=Parameters(scale, offset))
 
 
 def joint_hypotheses(log: Log) -> Iterator[Hypothesis]:
@@ -136,12 +162,11 @@ def _signs(layout: FeetLayout) -> Iterator[Hypothesis]:
         groups[f"all channels of the {foot.name} foot have"] = range(where.start, where.stop)
     if torques := [i for i, name in enumerate(names) if name.endswith(("/tx", "/ty", "/tz"))]:
         groups["the torques of all sensors have"] = torques
-    cure = "turn the signs of scale_N_per_count and offset_N round"
     for whose, channels in groups.items():
         factor = np.ones(layout.channels)
         factor[list(channels)] = -1.0
         cause = f"{whose} the other sign"
-        yield Hypothesis("sign of channels", cause, cure, partial(_multiply, factor=factor))
+        yield Hypothesis("sign of channels", cause, _TURN, partial(_multiply, factor=factor))
 
 
 def _sizes(layout: FeetLayout) -> Iterator[Hypothesis]:

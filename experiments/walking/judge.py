@@ -37,6 +37,7 @@ from surefoot.experiments.walking.hypotheses import (
     Hypothesis,
     hypotheses,
     joint_hypotheses,
+    pulling_hypotheses,
 )
 
 ODDS = 1e6  # for a mistake and against all else from which it is named: one false alarm in a million logs
@@ -95,6 +96,24 @@ def judge_log(log: Log, initial: Parameters) -> Judgement:
     return Judgement((*far, *found), tuple(explanations), plain)
 
 
+def explain_pull(log: Log, initial: Parameters) -> Finding:
+    """Return the likeliest mistake by which the feet pull the ground by a starting map."""
+    claims = claims_of(log, initial, length_of(log))
+    tried = list(pulling_hypotheses(claims, log.layout))
+    sure, if_so = "", ""
+    if len(tried) > 1 and not log.about.get("feet_alone"):  # which know no motion that tells them apart
+        with threadpool_limits(limits=1, user_api="blas"):
+            ranked = _rank(tried, [fit_parts(condense(one.undo(claims))) for one in tried])
+        tried = [one.hypothesis for one in ranked]
+        best, second = ranked[:2]
+        if best.fit.worst <= MENDED and best.fit.evidence - second.fit.evidence > np.log(HINT):
+            sure = f" (probability {_percent(best.probability)}; {_say_next(second)})"
+    if len(tried) > 1 and not sure:
+        sure, if_so = f" (which the log does not settle; or {tried[1].cause})", "if so, "
+    cause, cure = f"The likeliest cause: {tried[0].cause}{sure}.", _sentence(if_so + tried[0].cure)
+    return Finding(tried[0].kind, cause, cure)
+
+
 def _check_layout(log: Log) -> list[Finding]:
     """Find cells that are too far from their foot to be in metres."""
     limit = FOOT if len(log.layout.feet) == 2 else PLATE
@@ -138,10 +157,15 @@ def _explain(claims: Claims, parts: list[Claims], plain: Fit, tried: list[Hypoth
     others = [one for one in tried if one.kind != tried[0].kind]
     tried = [*[one for one in tried if one.kind == tried[0].kind][:CLOSER], *others[:CLOSER]]
     fits = [fit_parts(mend(one)) for one in tried]
-    evidence = np.array([plain.evidence, *(fit.evidence for fit in fits)])
+    return _rank(tried, fits, plain)
+
+
+def _rank(tried: list[Hypothesis], fits: list[Fit], *others: Fit) -> list[Explanation]:
+    """Return explanations by falling likelihood among their fits and others."""
+    evidence = np.array([fit.evidence for fit in (*fits, *others)])
     likely = np.exp(evidence - evidence.max())
     likely /= likely.sum()
-    found = [Explanation(*one) for one in zip(tried, fits, likely[1:].tolist(), strict=True)]
+    found = [Explanation(*one) for one in zip(tried, fits, likely[: len(fits)].tolist(), strict=True)]
     return sorted(found, key=lambda one: -one.fit.evidence)
 
 
@@ -187,7 +211,7 @@ def _decide(
         # Delays that are near each other are one cause.
         near = [one for one in explanations[1:] if one.hypothesis.kind == mistake.kind == DELAY]
         second = next(one for one in explanations[1:] if one not in near)
-        rest = f"the next, {_percent(second.probability)}: {second.hypothesis.cause}"
+        rest = _say_next(second)
         sure = f"probability {_percent(sum(one.probability for one in (best, *near)))}"
         if not clear:
             sure = "which the log does not settle"
@@ -216,6 +240,10 @@ def _decide(
 
 def _sentence(clause: str) -> str:
     return f"{clause[0].upper()}{clause[1:]}."
+
+
+def _say_next(one: Explanation) -> str:
+    return f"the next, {_percent(one.probability)}: {one.hypothesis.cause}"
 
 
 def _percent(probability: float) -> str:

@@ -1,21 +1,27 @@
 """Data that would mislead any calibrator are refused; missing data are noticed, and shown."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from surefoot.calibration import GRAVITY, Estimate, Flag, Parameters
 from surefoot.calibration.cop import sole_wrenches
+from surefoot.calibration.results import Finding
+from surefoot.experiments.instrument.channels import Wrong, facts_of, find_wrong
+from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.walking.agreement import ground_of_motion
+from surefoot.experiments.walking.judge import explain_pull
 
 MOST = 3.0  # times that the feet's total may differ from the weight before units must be wrong
 STILL = 0.003  # std in m of the CoP that the motion asks for, below which a robot stands
 ALIKE = 0.03  # relative difference between the mass in the description and the drawing's that needs no word
 
 SPARSE = 0.5  # share of readings that are missing, or refused, from which it is worth a word
+ROUNDING = 1e-9  # weights that a force of exactly none may be off by its arithmetic
 COMMON = 1.5  # median change of scales above which it is no error of single cells
 
 _UNITS = {
@@ -29,62 +35,65 @@ _UNITS = {
 
 def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
     """Raise LogError if by the starting map the feet carry far from the robot's weight, or pull."""
+    if wrong := weigh_feet(log, start, initial):
+        raise LogError(f"{file}: {wrong.reason} {wrong.cure}")
+
+
+def weigh_feet(log: Log, start: str, initial: Parameters) -> Finding | None:
+    """Find feet that by the starting map carry far from the robot's weight, or pull; ``None`` if sound."""
     read = np.isfinite(log.raw)
     # What never changes is a dead channel: its count says nothing of its load.
     lives = np.array([at.any() and np.ptp(raw[at]) > 0.0 for raw, at in zip(log.raw.T, read.T, strict=True)])
     if not lives.any():
-        raise LogError(
-            f"{file}: columns 'raw_..._count' hold no reading that ever changes in the {len(log)} rows; "
-            "write the converters' counts into them."
-        )
+        reason = f"columns 'raw_..._count' hold no reading that ever changes in the {len(log)} rows;"
+        return Finding("no reading", reason, "write the converters' counts into them.")
     force = np.where(read & lives, initial.force(log.raw), 0.0)
     total = sole_wrenches(force, log.layout)[..., 2].sum(axis=-1)
     low, high, highest = np.percentile(total, (10, 90, 99))
     weight = log.mass * GRAVITY
     given = f"and mass_kg = {log.mass:.4g} weighs {weight:.4g} N"
     if low < -weight / MOST and high < weight / MOST:
-        raise LogError(
-            f"{file}: by the {start} map the feet pull the ground with {-low:.4g} N, {given}; turn the signs "
-            "of scale_N_per_count and offset_N round: standing is positive."
-        )
+        cause = explain_pull(log, initial)
+        pull = f"by the {start} map the feet pull the ground with {-low:.4g} N, {given}."
+        return replace(cause, reason=f"{pull} {cause.reason}")
     if high < weight / MOST:
         high = highest  # nobody stands on a plate most of the time
     ratio = float(high / weight)
-    if not 1.0 / MOST <= ratio <= MOST:
-        near = [
-            f"A map in {text} would look so. "
-            for factor, text in _UNITS.items()
-            if 0.67 < ratio / factor < 1.5
-        ]
-        raise LogError(
-            f"{file}: by the {start} map the feet carry {high:.4g} N where they carry most, {given}: "
-            f"{ratio:.3g} times as much. {near[0] if near else ''}"
-            "Give scale_N_per_count and offset_N in newtons (without offset_N it is read while a foot "
-            "swings), mass_kg in kilograms, and a log in which the robot stands on its feet."
-        )
+    if 1.0 / MOST <= ratio <= MOST:
+        return None
+    near = [
+        f" A map in {text} would look so." for factor, text in _UNITS.items() if 0.67 < ratio / factor < 1.5
+    ]
+    return Finding(
+        "mass",
+        f"by the {start} map the feet carry {high:.4g} N where they carry most, {given}: {ratio:.3g} times "
+        f"as much.{near[0] if near else ''}",
+        "Give scale_N_per_count and offset_N in newtons (without offset_N it is read while a foot swings), "
+        "mass_kg in kilograms, and a log in which the robot stands on its feet.",
+        ratio,
+        MOST,
+    )
 
 
 def log_notices(log: Log, file: str) -> tuple[str, ...]:
     """Notices about a log, a sentence each: the fact, its meaning, and its cure."""
-    found = (*_channel_notices(log), *motion_notices(log))
-    return (*log.about.get("notices", ()), *(f"{file}: {text}" for text in found))
+    found = (*_clock_notices(log), *motion_notices(log))
+    broken = (
+        f"{file} ({one.since}): {one.finding.reason} {one.finding.cure}" for one in find_broken(log, file)
+    )
+    return (*log.about.get("notices", ()), *broken, *(f"{file}: {text}" for text in found))
 
 
-def _channel_notices(log: Log) -> Iterator[str]:
-    """Yield what is lacking in channels and clock."""
-    for name, readings in zip(raw_names_of(log.layout), log.raw.T, strict=True):
-        there = readings[np.isfinite(readings)]
-        if len(there) == 0:
-            yield (
-                f"column '{name}' holds no reading in any of {len(log)} rows, and a channel must be read now "
-                "and then; a method that needs every channel learns nothing. Check its cable and the "
-                "column's name."
-            )
-        elif len(there) > 16 and np.ptp(there) == 0.0:
-            yield (
-                f"column '{name}' is {there[0]:g} in all of its {len(there)} readings, and a channel that "
-                "lives makes some noise: nothing can be learnt of it. Check its cable and its converter."
-            )
+def find_broken(log: Log, file: str) -> Iterator[Wrong]:
+    """Yield the flaws of single channels for which a check calls a log wrong; methods may cope with them."""
+    names, nowhere = tuple(raw_names_of(log.layout)), np.zeros(log.raw.shape, dtype=bool)
+    recording = Recording(file, "walk", names, log.time, log.raw, nowhere)
+    timeless = replace(recording, time=np.full(len(log), np.nan))  # noise and drift need no look
+    yield from (one for one in find_wrong(recording, facts_of(timeless)) if one.finding.refuses)
+
+
+def _clock_notices(log: Log) -> Iterator[str]:
+    """Yield what is lacking in the clock."""
     step = np.diff(log.time)
     if (step > MAX_GAP).any():
         yield (
@@ -136,23 +145,9 @@ def result_notices(
 ) -> tuple[str, ...]:
     """Return notices of a result: nothing was learnt, scales of another sign, a common factor."""
     found, unread = [], float(1.0 - np.isfinite(log.raw).mean())
-    refused = ((np.asarray(estimate.flags) & Flag.REJECTED) != 0).any(axis=1).mean()
-    lost = Flag.MISSING | Flag.OUT_OF_RANGE | Flag.DEAD | Flag.STUCK
-    useless = ((np.asarray(estimate.flags) & lost) != 0).mean(axis=0) > 1.0 - SPARSE / 10.0
     still = all(np.ptp(part, axis=0).max() == 0.0 for part in (estimate.scale, estimate.offset))
     if still and method != "none":
-        why = "The log may be too short, or no foot surely stands or swings: see the flags."
-        if unread > SPARSE:
-            why = (
-                f"{100 * unread:.0f} % of the readings are missing, and a method learns from rows in which "
-                "all channels were read; if the converters are slower than the rows, write rows at their "
-                "rate."
-            )
-        elif useless.any():
-            name = raw_names_of(log.layout)[int(np.argmax(useless))]
-            why = f"Column '{name}' never holds a living channel's reading, and this method needs every one."
-        elif refused > SPARSE:
-            why = f"{100 * refused:.0f} % of the samples ask for what no sensor does."
+        why = _why_nothing_was_learnt(log, method, initial, estimate)
         found.append(f"nothing was learnt: the {method} map is the one at the start. {why}")
     elif unread > SPARSE:
         found.append(
@@ -173,6 +168,34 @@ def result_notices(
             "amplifiers' gain is the one of the starting map."
         )
     return tuple(f"{file}: {text}" for text in found)
+
+
+def _why_nothing_was_learnt(log: Log, method: str, initial: Parameters, estimate: Estimate) -> str:
+    """Say why the map is the one at the start, and the way out."""
+    read, flags = np.isfinite(log.raw), np.asarray(estimate.flags)
+    unread, partly = float(1.0 - read.mean()), float(1.0 - read.all(axis=1).mean())
+    lost = Flag.MISSING | Flag.OUT_OF_RANGE | Flag.DEAD | Flag.STUCK
+    useless = ((flags & lost) != 0).mean(axis=0) > 1.0 - SPARSE / 10.0
+    refused = ((flags & Flag.REJECTED) != 0).any(axis=1).mean()
+    if unread > SPARSE:
+        return (
+            f"{100 * unread:.0f} % of the readings are missing, and a method learns from rows in which all "
+            "channels were read; if the converters are slower than the rows, write rows at their rate."
+        )
+    if useless.any():
+        name = raw_names_of(log.layout)[int(np.argmax(useless))]
+        return f"Column '{name}' never holds a living channel's reading, and this method needs every one."
+    if refused > SPARSE:
+        return f"{100 * refused:.0f} % of the samples ask for what no sensor does."
+    if partly > SPARSE / 10.0:
+        fill = "fill single missing readings between their neighbours, or log all channels in every row."
+        lack = f"{100 * partly:.0f} % of the rows lack a reading of a channel"
+        return f"{lack}, around which no contact is felt and little is learnt; {fill}"
+    air = np.asarray(log.reference.swing)[log.reference_rows][:, log.layout.foot_of_channel]
+    hanging = np.abs(np.where(air & read, initial.force(log.raw), 0.0))
+    if method == "tare" and air.any(axis=0).all() and hanging.max() < ROUNDING * log.mass * GRAVITY:
+        return "It was exact already: feet in the air read 0 N by it."
+    return "The log may be too short, or no foot surely stands or swings: see the flags."
 
 
 def _spread(log: Log) -> float:

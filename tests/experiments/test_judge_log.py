@@ -8,16 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from _logs import refusal_of, run
+from _logs import redescribe, refusal_of, run
 
 from surefoot.calibration import CalibrationRefused
 from surefoot.experiments import write_log
+from surefoot.experiments.instrument.check import check_log, words_of
 from surefoot.experiments.logs.checks import LISTED
 from surefoot.experiments.logs.format import Log, read_log
 from surefoot.experiments.walking.calibrate import calibrate_log
 from surefoot.experiments.walking.claims import claims_of, fit_claims
 from surefoot.experiments.walking.hypotheses import hypotheses
 from surefoot.experiments.walking.judge import Judgement, judge_log
+from surefoot.experiments.walking.notices import weigh_feet
 from surefoot.experiments.walks.replay import starting_map
 
 
@@ -38,6 +40,29 @@ def test_a_mistake_is_named(spoilt: ModuleType, bad_start: Log, name: str) -> No
     assert first.refuses
     assert first.contradicts
     assert first.value > first.limit
+
+
+@pytest.mark.parametrize("name", ["feet", "contacts", "all signs"])
+def test_feet_that_pull_by_offsets_read_in_the_air(
+    spoilt: ModuleType, bad_start: Log, tmp_path: Path, name: str
+) -> None:
+    """A foot that stood when its offsets were read pulls, as one of the other sign does."""
+    kind = "sign of channels"
+    log = dataclasses.replace(bad_start, raw=-bad_start.raw)
+    if name != "all signs":
+        kind, log = spoilt.SPOILERS[name][0], spoil(spoilt, bad_start, name)
+    path = write_log(log, tmp_path / "walk.csv")
+    redescribe(path, nominal={"scale_N_per_count": log.nominal.scale.tolist()}, calibrated=None)
+    log = read_log(path)
+    wrong = weigh_feet(log, "nominal", log.nominal)
+    assert wrong is not None
+    assert wrong.name == kind
+    assert "the feet pull the ground with " in wrong.reason
+    assert "(probability more than 99.9 %; the next, less than 0.1 %: " in wrong.reason
+    alone = dataclasses.replace(log, about={"feet_alone": True})
+    unsettled = weigh_feet(alone, "nominal", log.nominal)
+    assert unsettled is not None
+    assert unsettled.cure.startswith("If so, turn the signs of scale_N_per_count")
 
 
 def test_sound_walks_are_let_through(walks: dict[str, Log]) -> None:
@@ -185,6 +210,9 @@ class TestFeetAlone:
         assert felt.reference.swing.any(axis=0).all()
         assert load[felt.reference.swing].max() < 0.05 * log.mass * 9.81
         assert load[felt.reference.stance].min() > 0.1 * log.mass * 9.81
+        assert words_of(check_log(path)) == (
+            "Clock, channels and weight are sound; feet alone show no wrong signs, places or exchanges."
+        )
 
     def test_other_methods_need_the_robot(self, log: Log, tmp_path: Path) -> None:
         path = feet_alone(log, tmp_path / "feet.csv", contacts=True)
