@@ -24,11 +24,11 @@ def write_check_page(path: Path, checked: Checked) -> Path:
         facts_table(checked.recording),
         checked.recording.notices,
         lambda folder: _sections(folder, checked),
+        Section("wrong", "What is wrong", tables=(wrong_table(checked),)),
     )
 
 
 def _sections(folder: Path, checked: Checked) -> Iterator[Section]:
-    yield Section("wrong", "What is wrong", tables=(wrong_table(checked),))
     overview = ReportFigure(draw_channels(folder / "channels.png", checked), "Figure 1", _say("overview"))
     curves = draw_allan(folder / "allan.svg", checked)
     shown = () if curves is None else (ReportFigure(curves, "Figure 2", _say("channels")),)

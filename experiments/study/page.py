@@ -111,13 +111,18 @@ def write_log_page(
     log: Table,
     notices: tuple[str, ...],
     sections: Callable[[Path], Iterable[Section]],
+    verdict: Section | None = None,
 ) -> Path:
-    """Write the page of a log that was made of, or by, something; sections draw into a folder."""
-    quiet = () if notices else ("Nothing in the log calls for a warning.",)
-    first = Section("log", "The log", paragraphs=quiet, findings=notices, tables=(log,))
+    """Write the page of a log that was made of, or by, something; sections draw into a folder.
+
+    A ``verdict`` comes first; without one, missing notices are said.
+    """
+    quiet = () if notices or verdict else ("Nothing in the log calls for a warning.",)
+    own = Section("log", "The log", paragraphs=quiet, findings=notices, tables=(log,))
+    first = (own,) if verdict is None else (verdict, own)
     with tempfile.TemporaryDirectory() as folder:
         made = f"Made with surefoot {surefoot.__version__} {made_of}."
-        return write_page(path, title, (introduction,), (first, *sections(Path(folder))), made=made)
+        return write_page(path, title, (introduction,), (*first, *sections(Path(folder))), made=made)
 
 
 def publish(

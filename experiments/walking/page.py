@@ -155,12 +155,13 @@ _say, _caption = Words("walking"), Words("walking", "captions")
 
 def write_walking_page(path: Path, facts: tables.Facts) -> Path:
     """Write the page of a calibrated log, with its figures inside, and return its path."""
+    known = "contacts" if facts.feet_alone else "what the robot knows of its own motion"
     return write_log_page(
         path,
         f"{facts.file}, calibrated",
         f"by the method {facts.method!r}",
-        "Raw readings and what the robot knows of its own motion went in; calibrated forces, centres of "
-        "pressure and parameters came out, sample by sample, as the robot would have had them on its way.",
+        f"Raw readings and {known} went in; calibrated forces, centres of pressure and parameters came out, "
+        "sample by sample, as they would have come on the way.",
         tables.log_table(facts),
         facts.notices,
         lambda folder: _sections(folder, facts),

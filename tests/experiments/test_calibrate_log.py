@@ -16,9 +16,10 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.cli.calibrate import walk
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.walking import calibrate as module
+from surefoot.experiments.walking import page
 from surefoot.experiments.walking.agreement import agreement, ground_of_forces, ground_of_motion
 from surefoot.experiments.walking.calibrate import CalibratedLog, calibrate_log, standard_deviations
-from surefoot.experiments.walking.notices import check_weight, log_notices
+from surefoot.experiments.walking.notices import check_weight, log_notices, result_notices
 from surefoot.experiments.walking.tables import Facts, terminal_tables
 
 
@@ -216,8 +217,9 @@ def test_a_map_of_the_wrong_sign_is_refused(log: Log, tmp_path: Path) -> None:
     with pytest.raises(LogError) as refused:
         calibrate(log, tmp_path)
     assert str(refused.value) == (
-        f"walk.csv: by the nominal map the feet pull the ground with 52 N, {WEIGHT}; turn the signs of "
-        "scale_N_per_count and offset_N round: standing is positive."
+        f"walk.csv: by the nominal map the feet pull the ground with 52 N, {WEIGHT}. The likeliest cause: "
+        "all channels have the other sign. Turn the signs of scale_N_per_count and offset_N round: standing "
+        "is positive."
     )
 
 
@@ -265,11 +267,10 @@ def test_a_channel_that_is_out_is_a_notice(log: Log, tmp_path: Path, no_page: No
     raw[:, 6] = 8_000_000.0
     result = calibrate(dataclasses.replace(log, raw=raw), tmp_path)
     assert result.notices[:2] == (
-        "walk.csv: column 'raw_left_front_right_count' holds no reading in any of 60 rows, and a channel "
-        "must be read now and then; a method that needs every channel learns nothing. Check its cable and "
-        "the column's name.",
-        "walk.csv: column 'raw_right_rear_left_count' is 8e+06 in all of its 60 readings, and a channel that "
-        "lives makes some noise: nothing can be learnt of it. Check its cable and its converter.",
+        "walk.csv (all along): Column 'raw_left_front_right_count' holds no reading. Check its cable and its "
+        "name.",
+        "walk.csv (all along): 'raw_right_rear_left_count' is 8000000 in all readings from then on, while "
+        "others move. Check its cable and its converter.",
     )
     walk = pd.read_parquet(result.walk)
     assert np.isfinite(walk.filter(like="force_")).all(axis=None)
@@ -277,6 +278,55 @@ def test_a_channel_that_is_out_is_a_notice(log: Log, tmp_path: Path, no_page: No
     assert flags.rows[0][0] == "no reading arrived; the last one is held"
     assert flags.rows[0][1] == "100.00 %"
     assert flags.rows[0][3] == "left, front-right"
+
+
+def test_a_channel_that_dies_is_a_notice(bad_start: Log) -> None:
+    assert log_notices(bad_start, "walk.csv") == ()
+    raw = bad_start.raw.copy()
+    raw[700:, 3] = 70_000.0
+    (notice,) = log_notices(dataclasses.replace(bad_start, raw=raw), "walk.csv")
+    assert notice == (
+        f"walk.csv ({bad_start.time[700]:.6g} s): 'raw_left_rear_right_count' is 70000 in all readings from "
+        "then on, while others move. Check its cable and its converter."
+    )
+
+
+@pytest.mark.parametrize(
+    ("missing", "why"),
+    [
+        (
+            0.05,
+            "33 % of the rows lack a reading of a channel, around which no contact is felt and little is "
+            "learnt; fill single missing readings between their neighbours, or log all channels in every "
+            "row.",
+        ),
+        (0.0, "It was exact already: feet in the air read 0 N by it."),
+    ],
+)
+def test_why_a_tare_learnt_nothing(log: Log, missing: float, why: str) -> None:
+    air = np.arange(len(log)) < 30
+    raw = np.where(air[:, None], -log.nominal.offset / log.nominal.scale, log.raw)
+    raw[np.random.default_rng(1).random(raw.shape) < missing] = np.nan
+    swing = np.tile(air[:, None], 2)
+    log = dataclasses.replace(log, raw=raw, lag=0, reference=log.reference._replace(swing=swing))
+    estimate = replay(log.layout, "none", raw, log.reference, mass=log.mass, initial=log.nominal)
+    start = "walk.csv: nothing was learnt: the tare map is the one at the start. "
+    assert result_notices(log, "tare", log.nominal, estimate, "walk.csv") == (start + why,)
+
+
+@pytest.mark.parametrize(
+    ("about", "known"),
+    [({}, "what the robot knows of its own motion"), ({"feet_alone": True}, "contacts")],
+    ids=["robot", "feet alone"],
+)
+def test_a_page_tells_what_went_in(
+    log: Log, monkeypatch: pytest.MonkeyPatch, about: dict[str, Any], known: str
+) -> None:
+    monkeypatch.setattr(page, "write_log_page", lambda *parts: parts)
+    log = dataclasses.replace(log, about=about)
+    estimate = replay(log.layout, "none", log.raw, log.reference, mass=log.mass, initial=log.nominal)
+    introduction = page.write_walking_page(Path(), Facts(log, "nominal", log.nominal, estimate))[3]
+    assert introduction.startswith(f"Raw readings and {known} went in; ")
 
 
 def test_gaps_are_bridged_on_request(log: Log, tmp_path: Path, no_page: None) -> None:

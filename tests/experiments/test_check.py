@@ -63,6 +63,10 @@ def test_a_channel_that_dies(bad_start: Log, tmp_path: Path, undrawn: None) -> N
     found = check(write_log(dataclasses.replace(bad_start, raw=raw), tmp_path / "walk.csv"), 3)
     wrong = found["tables"]["wrong"]["rows"][0]
     assert (wrong["what"], wrong["since"]) == ("constant", f"{bad_start.time[700]:.6g} s")
+    assert wrong["what to do"] == "Check its cable and its converter."
+    page = (tmp_path / "walk.check.html").read_text()
+    assert page.index("1. What is wrong") < page.index("2. The log")
+    assert "calls for a warning" not in page
 
 
 def test_a_log_that_its_command_cannot_read_is_shown(path: Path, undrawn: None) -> None:
@@ -70,6 +74,9 @@ def test_a_log_that_its_command_cannot_read_is_shown(path: Path, undrawn: None) 
     found = check(path, 3)
     assert found["tables"]["wrong"]["rows"][0]["what"] == "unreadable"
     assert len(found["tables"]["channels"]["rows"]) == 7
+    path.with_suffix(".json").write_text("{,}")
+    wrong = check(path, 3)["tables"]["wrong"]["rows"][0]
+    assert wrong["what is seen"].startswith("walk.json: the description: not JSON")
 
 
 def test_sets_weighings_and_bare_channels(tmp_path: Path, undrawn: None) -> None:
@@ -90,7 +97,9 @@ def test_sets_weighings_and_bare_channels(tmp_path: Path, undrawn: None) -> None
     bare.to_csv(tmp_path / "bare.csv", index=False)
     (tmp_path / "bare.toml").write_text("[columns]\ntime_s = 't'\nraw_a_count = 'a'\n")
     found = check(tmp_path / "bare.csv", 0)
-    assert "Clock and channels are sound; nothing says what" in (tmp_path / "bare.check.html").read_text()
+    page = (tmp_path / "bare.check.html").read_text()
+    assert "Clock and channels are sound; nothing says what" in page
+    assert "100 a second, jitter 0 ms" in page
     assert found["kind"] == "channels"
     assert found["tables"]["channels"]["rows"][0]["noise (counts)"] == pytest.approx(20.0, rel=0.05)
 
