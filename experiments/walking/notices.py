@@ -190,7 +190,7 @@ def _why_nothing_was_learnt(log: Log, method: str, initial: Parameters, estimate
     if partly > SPARSE / 10.0:
         fill = "fill single missing readings between their neighbours, or log all channels in every row."
         lack = f"{100 * partly:.0f} % of the rows lack a reading of a channel"
-        return f"{lack}, around which no contact is felt and little is learnt; {fill}"
+        return f"{lack}, of which little is learnt; {fill}"
     air = np.asarray(log.reference.swing)[log.reference_rows][:, log.layout.foot_of_channel]
     hanging = np.abs(np.where(air & read, initial.force(log.raw), 0.0))
     if method == "tare" and air.any(axis=0).all() and hanging.max() < ROUNDING * log.mass * GRAVITY:

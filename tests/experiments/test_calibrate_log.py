@@ -296,9 +296,8 @@ def test_a_channel_that_dies_is_a_notice(bad_start: Log) -> None:
     [
         (
             0.05,
-            "33 % of the rows lack a reading of a channel, around which no contact is felt and little is "
-            "learnt; fill single missing readings between their neighbours, or log all channels in every "
-            "row.",
+            "33 % of the rows lack a reading of a channel, of which little is learnt; fill single missing "
+            "readings between their neighbours, or log all channels in every row.",
         ),
         (0.0, "It was exact already: feet in the air read 0 N by it."),
     ],
