@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import linregress
-from scipy.stats import t as student
 
 from surefoot.calibration.results import Finding
 from surefoot.experiments.force_torque.checks import RAILS
@@ -96,7 +95,7 @@ def _slope(still: list[Stretch]) -> tuple[float, float]:
     if len(still) < 3:
         return np.nan, np.nan
     times, means = (np.array([part[k].mean() for part in still]) for k in (0, 1))
-    line = linregress(times, means)
+    line = scipy.stats.linregress(times, means)
     return float(line.slope), float(line.stderr)
 
 
@@ -142,7 +141,8 @@ def find_wrong(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wron
             reason = f"'{one.name}' is {value} in all readings from then on, while others move."
             finding = Finding("constant", reason, "Check its cable and its converter.")
             yield _wrong(recording, int(constant[i]), finding)
-        if abs(one.slope) > one.slope_std * float(student.ppf(1.0 - ALARM / 2.0, max(len(one.rests) - 2, 1))):
+        sure = scipy.stats.t.ppf(1.0 - ALARM / 2.0, max(len(one.rests) - 2, 1))
+        if abs(one.slope) > one.slope_std * sure:
             size = "" if recording.scale is None else f" ({60 * one.slope * recording.scale[i]:+.2g} N)"
             reason = f"Unloaded, column '{one.name}' drifts by {60 * one.slope:+.3g} counts a minute{size}."
             finding = Finding("drift", reason, "A method that follows offsets undoes it.", refuses=False)
