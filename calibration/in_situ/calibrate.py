@@ -48,7 +48,7 @@ from surefoot.calibration.in_situ.effects import (
 from surefoot.calibration.in_situ.factory import check_factory
 from surefoot.calibration.in_situ.fit import InSituFit
 from surefoot.calibration.in_situ.imu import fit_sphere, level, likeliest_delay, smooth
-from surefoot.calibration.in_situ.judge import check_masses, check_rotation, data_rank
+from surefoot.calibration.in_situ.judge import DOUBTS, check_masses, check_rotation, data_rank
 from surefoot.calibration.in_situ.maker import AGED, KEPT, Leaning, lean, prior_of
 from surefoot.calibration.in_situ.report import Solved, fit_of, refuse_fit
 from surefoot.calibration.in_situ.solver.compress import compress
@@ -125,7 +125,7 @@ def _answer(task: Task, accept: str) -> InSituFit:
         fit, said = fit_of(solved)
     except (CalibrationRefused, np.linalg.LinAlgError) as error:
         return refuse_fit(task.sets, (_explain_error(error, accept),))
-    decision = decide(_name_causes(findings + found + said, solved), accept)
+    decision = decide(_name_causes(findings + found + said, solved, accept), accept)
     if decision.refused:
         return refuse_fit(task.sets, decision.refused)
     fit = replace(fit, warnings=decision.warnings, refusals=decision.passed)
@@ -238,8 +238,11 @@ def _contradicting_factory(task: Task, problem: Problem, *, determined: bool) ->
     return found
 
 
-def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
-    """Return findings, the worst contradiction with its likeliest cause."""
+def _name_causes(findings: list[Finding], solved: Solved, accept: str) -> list[Finding]:
+    """Return findings, the worst contradiction with its likeliest cause.
+
+    Where it is found, what follows from it is left out, unless the answer is accepted.
+    """
     drift = next((one for one in findings if one.name == "slow turning"), None)
     refused = any(one.refuses for one in findings)
     # A drift may be why a fit is refused that nothing contradicts.
@@ -257,6 +260,9 @@ def _name_causes(findings: list[Finding], solved: Solved) -> list[Finding]:
         # Without times hysteresis that nobody sees looks like many a cause.
         clear = solved.task.timed and found and found[0].gain > limits.CLEARER and moved > limits.MOVED
         symptom = replace(symptom, refuses=worst.refuses or bool(worst.contradicts and clear))
+        if found and refused and not accept and worst.name not in DOUBTS:
+            follow = (*DOUBTS, "added masses")
+            findings = [one for one in findings if one is worst or one.name not in follow]
     return [symptom if one is worst else one for one in findings if one is worst or one is not drift]
 
 
@@ -272,7 +278,7 @@ def _gather_evidence(task: Task, sets: tuple[InSituSet, ...]) -> Evidence:
     plain = minima(problem, first)[0]
     if task.options.hysteresis and task.timed and shows_loops(problem):
         plain = lag_loads(sets, plain)
-    return Evidence(sets, plain)
+    return Evidence(sets, plain, None if task.factory is None else np.asarray(np.linalg.pinv(task.factory)))
 
 
 def _quieten(data: InSituSet) -> InSituSet:

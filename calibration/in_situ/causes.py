@@ -78,6 +78,7 @@ class Evidence:
     solution: Solution
     """Of the problem without any cause. Loops of loads are part of it where sets show them: they look like a
     short delay."""
+    response: Matrix | None = None  # of the maker's matrix, in counts per N and N m, shape (k, 6)
 
     @property
     def problem(self) -> Problem:
@@ -570,33 +571,55 @@ def _try_turn(evidence: Evidence) -> Cause:
 
 
 def _try_axes(evidence: Evidence) -> Iterator[Cause]:
-    """Yield axes of all places, or of the IMU, that have other signs or another order.
-
-    Without a maker's matrix the opposite of all axes fits as well: its torques are opposite then.
-    """
-    plain, found = evidence.problem, []
+    """Yield axes of all places, or of the IMU, that have other signs or another order."""
+    found = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=2)):
         axes = np.eye(3)[list(order)] * np.array([1.0, *signs])[:, None]
-        if np.array_equal(axes, np.eye(3)):
-            continue
-        outer = _turn_limb(evidence.solution.outer, axes)
-        added = [
-            inertial_parameters(one.added_mass, axes @ one.added_com, plain.moving) for one in evidence.sets
-        ]
-        problem = replace(plain, added=np.pad(added, ((0, 0), (0, plain.parameters - len(added[0])))))
-        found.append((solve(problem, [outer], _GLANCE).cost, axes, problem, outer))
-    for _, axes, problem, outer in sorted(found, key=lambda one: one[0])[:_LIKELY]:
-        best = minima(problem, [outer, *starts(problem, None, None)])[0]
+        # With their opposite, the fewest changes first; no change is no cause.
+        pair = sorted((axes, -axes), key=lambda one: (-np.trace(one), -np.sum(one)))
+        pair = [one for one in pair if not np.array_equal(one, np.eye(3))]
+        glances = (_change_axes(evidence, one) for one in pair)
+        cost = min(solve(problem, [outer], _GLANCE).cost for problem, outer in glances)
+        found.append((cost, pair))
+    for _, pair in sorted(found, key=lambda one: one[0])[:_LIKELY]:
+        words, best = _tell_signs(evidence, pair)
         cure = "Measure places in the sensor's frame, and give the IMU's rotation (R_sensor_accelerometer)."
-        yield Cause(_axes_in_words(axes), cure, best, 0, len(found))
+        yield Cause(words, cure, best, 0, len(found))
 
 
-def _axes_in_words(axes: Matrix) -> str:
-    """Return a change of axes, or the opposite of it, in words."""
-    axes = axes if np.linalg.det(axes) > 0.0 or np.sum(axes) > 0.0 else -axes
-    names = [("-" if np.sum(row) < 0.0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in axes]
-    given = ", ".join(names)
-    return f"axes of all places or of the IMU are others, or the IMU is turned: x, y, z as given are {given}"
+def _change_axes(evidence: Evidence, axes: Matrix) -> tuple[Problem, Vector]:
+    """Return the problem with all places in other axes, and outer unknowns to start from."""
+    plain = evidence.problem
+    added = [inertial_parameters(one.added_mass, axes @ one.added_com, plain.moving) for one in evidence.sets]
+    problem = replace(plain, added=np.pad(added, ((0, 0), (0, plain.parameters - len(added[0])))))
+    return problem, _turn_limb(evidence.solution.outer, axes)
+
+
+def _tell_signs(evidence: Evidence, pair: Sequence[Matrix]) -> tuple[str, Solution]:
+    """Fit axes and their opposite; return the likelier in words, or both, and its solution.
+
+    At rest places show in torques m c x g alone: the opposite places fit as well with the opposite response
+    to torques. The maker's matrix tells which it is, and so do the limb's place and its motion.
+    """
+    fits = []
+    for axes in pair:
+        problem, outer = _change_axes(evidence, axes)
+        fits.append(minima(problem, [outer, *starts(problem, None, None)])[0])
+    if evidence.response is None:
+        odds = [-0.5 * deviance(one) for one in fits]
+    else:
+        off = [evidence.problem.whitening @ (one.A - evidence.response) for one in fits]
+        odds = [-float(np.sum(one**2)) for one in off]
+    likelier = int(np.argmax(odds))
+    words = "axes of all places or of the IMU are others, or the IMU is turned: x, y, z as given are "
+    if evidence.response is None and len(pair) > 1 and abs(odds[0] - odds[1]) < limits.CLEARER:
+        more = f"; {_name_axes(pair[1])} fit as well, with all torques negated"
+        return words + _name_axes(pair[0]) + more, fits[0]
+    return words + _name_axes(pair[likelier]), fits[likelier]
+
+
+def _name_axes(axes: Matrix) -> str:
+    return ", ".join(("-" if np.sum(row) < 0.0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in axes)
 
 
 _KINDS = (_try_events, _try_bending, _try_reading, _try_frame, _try_exchange, _try_masses, _try_sensor)

@@ -50,6 +50,9 @@ _PLACES = (
 _ONE_TURN = float(np.cos(np.radians(5.0)))  # cosine of the angle below which two rotations are one
 
 
+DOUBTS = ("scale", "axis", "centre of mass", "gains")
+"""Names of checks of the answer, which sets that contradict each other fail, and sets that are too few."""
+
 _CHANCE = 0.01  # probability at which noise alone may strain a fit: masses must be off besides
 
 
