@@ -22,8 +22,6 @@ from surefoot.experiments.study.tables import Table
 SAMPLE = Path(__file__).resolve().parent / "samples" / "in_situ_leg.parquet"
 """A simulated log that ships with the package: the iCub's leg with eight added masses."""
 
-ALIKE = 0.01  # share by which the limb's fitted mass may differ from the known one without a notice
-
 
 @dataclass(frozen=True, eq=False)
 class CalibratedSensor:
@@ -60,7 +58,7 @@ def calibrate_in_situ_log(
         log = read_in_situ_log(paths, config, topics)
         then(f"fitting {len(log.fitted)} sets")
         fit = _fit(log, accept)
-        notices = [*_doubt_of_weight(log, fit), *log.notices]
+        notices = list(log.notices)
         if accept and not fit.accepted:
             notices.append("Nothing was refused, so that no reason was needed to go on.")
         then("writing the calibration")
@@ -80,21 +78,6 @@ def _fit(log: InSituLog, accept: str) -> InSituFit:
             more += " If you know better: --accept REASON goes on, and every file says so."
         raise CalibrationRefused(f"{', '.join(log.files)}: {first.reason}", f"{first.cure}{more}")
     return fit
-
-
-def _doubt_of_weight(log: InSituLog, fit: InSituFit) -> list[str]:
-    """Return a notice where the limb's fitted mass is not the known one."""
-    known = log.config.limb.mass_kg
-    if known is None:
-        return []
-    off = fit.limb.mass / known - 1.0
-    if abs(off) < max(ALIKE, 3.0 * fit.limb_mass_std / known):
-        return []
-    return [
-        f"The limb comes out at {fit.limb.mass:.4g} kg and weighs {known:.4g} kg ({100 * off:+.1f} %): so "
-        "far may all forces be off. See that the added masses, and limb.mass_kg, are what hung beyond the "
-        "sensor."
-    ]
 
 
 def _write(log: InSituLog, fit: InSituFit, stem: Path, notices: list[str]) -> dict[str, Path]:

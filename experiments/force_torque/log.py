@@ -11,7 +11,7 @@ from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu import AccelerometerModel, calibrate_accelerometer, gravity_from_imu
 from surefoot.calibration.in_situ import InSituFit, InSituSet, KnownLimb, calibrate_in_situ
-from surefoot.calibration.results import CalibrationRefused
+from surefoot.calibration.results import CalibrationRefused, FitResult
 from surefoot.experiments.force_torque.checks import FEWEST, check_samples, contiguous
 from surefoot.experiments.force_torque.config import (
     Accelerometer,
@@ -25,9 +25,13 @@ from surefoot.experiments.logs.table import LogError
 
 SMOOTHED = 0.3  # time in s over which the gyroscope's rate of change is taken, if that is rows enough
 
+_NOTICED = 0.01  # share by which the limb may come out from its given mass without a notice
+
 _FEWEST_ROWS = 7
 
 _ALIKE = 1e-6  # in kg or m
+
+_SIGN = " The signs of the torques are those of the places as given."
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +59,7 @@ class InSituLog:
                 "none; name it there, or leave out 'keep_matrix' (or --keep-matrix)."
             )
         mass, std = config.limb.mass_kg, config.limb.mass_std_kg
-        return calibrate_in_situ(
+        fit = calibrate_in_situ(
             self.fitted,
             factory_matrix=config.factory.matrix,
             limb=None if mass is None or std is None else KnownLimb(mass, std),
@@ -64,6 +68,21 @@ class InSituLog:
             refuse=False,
             accept=accept,
         )
+        return replace(fit, warnings=(*fit.warnings, *_doubt_of_weight(fit, mass)))
+
+
+def _doubt_of_weight(fit: InSituFit, known: float | None) -> list[str]:
+    """Return a notice where the limb's fitted mass is not the known one in kg."""
+    if known is None or fit.result is FitResult.REFUSED:
+        return []
+    off = fit.limb.mass / known - 1.0
+    if abs(off) < max(_NOTICED, 3.0 * fit.limb_mass_std / known):
+        return []
+    return [
+        f"The limb comes out at {fit.limb.mass:.4g} kg and weighs {known:.4g} kg ({100 * off:+.1f} %): so "
+        "far may all forces be off. See that the added masses, and limb.mass_kg, are what hung beyond the "
+        "sensor."
+    ]
 
 
 def read_in_situ_log(
@@ -99,6 +118,7 @@ def read_in_situ_log(
         notices.append(
             f"{file}: there is no factory matrix to check the accelerometer's sign with, and a wrong one "
             "would turn the calibrated wrench round; see that a limb that hangs pulls along gravity."
+            f"{_SIGN if not any(one.moves for one in sets) else ''}"
         )
     elif matrix.shape[1] != len(channels):
         raise LogError(
