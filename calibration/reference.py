@@ -7,10 +7,22 @@ robot likes, as long as all fields of one sample share them (a calibrator only e
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from surefoot.calibration.arrays import Array
 
 GRAVITY = 9.81
 """Standard acceleration of free fall used throughout, in m/s^2."""
+
+_DIGITS = 2e-3  # of a tenth of a kilogram's weight: newtons with three decimals
+
+
+def look_like_newtons(masses: ArrayLike) -> bool:
+    """Return whether masses in kg, zeros aside, are several weights in newtons of tenths of a kilogram."""
+    different = np.unique(masses)
+    tenths = 10.0 / GRAVITY * different[different != 0.0]
+    return len(tenths) > 1 and np.allclose(tenths, np.rint(tenths), atol=_DIGITS, rtol=0.0)
 
 
 class Reference(NamedTuple):

@@ -14,7 +14,7 @@ from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet
 from surefoot.calibration.in_situ.model import DIRECT, SPREAD_ROUNDING
 from surefoot.calibration.in_situ.solver.compress import CompressedSet
-from surefoot.calibration.reference import GRAVITY
+from surefoot.calibration.reference import GRAVITY, look_like_newtons
 from surefoot.calibration.results import CalibrationRefused, Finding
 
 _UNITS = {
@@ -35,7 +35,7 @@ def check_sets(sets: Sequence[InSituSet], options: InSituOptions, owner: str) ->
 
     ``owner`` is whose matrix stands in for directions that gravity does not show; empty for none.
     """
-    found, factors, samples, sizes = list(_check_copies(sets)), [], 0, []
+    found, factors, samples, sizes = [*_check_copies(sets), *_check_newtons(sets)], [], 0, []
     for data in sets:
         whole = np.asarray(np.isfinite(data.raw).all(axis=1))
         for one in (data.gravity, data.angular_velocity, data.angular_acceleration, data.temperature):
@@ -166,6 +166,15 @@ def _follow_gravity(data: InSituSet) -> NDArray[np.float64]:
         square = np.maximum(np.sum(counts**2, axis=0), np.finfo(float).tiny)
         follows[channels] = len(counts) * np.sum((basis.T @ counts) ** 2, axis=0) / square
     return follows
+
+
+def _check_newtons(sets: Sequence[InSituSet]) -> Iterator[Finding]:
+    """Yield a finding if the added masses look like weights in newtons."""
+    masses = [data.added_mass for data in sets]
+    if look_like_newtons(masses):
+        listed = ", ".join(f"{one:g}" for one in masses if one)
+        reason = f"The added masses are tenths of {GRAVITY:g} ({listed}), as weights in newtons are."
+        yield Finding("newtons", reason, "Give masses in kg.")
 
 
 def _check_added(data: InSituSet) -> Iterator[Finding]:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Floats
 from surefoot.calibration.parameters import Parameters
@@ -69,7 +69,8 @@ def fit_channels(raw: ArrayLike, load: ArrayLike, channel_names: Sequence[str] |
     names = [f"channel {i}" for i in range(code.shape[1])] if channel_names is None else list(channel_names)
     if len(names) != code.shape[1]:
         raise ValueError(f"'raw' has {code.shape[1]} channels, but {len(names)} channel names were given.")
-    fits = [_fit_line(code[:, i], known[:, i], name) for i, name in enumerate(names)]
+    read = np.asarray(np.isfinite(code).any(axis=1))
+    fits = [_fit_line(code[:, i], known[:, i], name, read) for i, name in enumerate(names)]
     value = np.array([fit[0] for fit in fits]).reshape(-1, 2)
     covariance = np.array([fit[1] for fit in fits]).reshape(-1, 2, 2)
     return ChannelFit(
@@ -80,12 +81,17 @@ def fit_channels(raw: ArrayLike, load: ArrayLike, channel_names: Sequence[str] |
     )
 
 
-def _fit_line(code: Floats, load: Floats, name: str) -> tuple[Floats, Floats, FitStats]:
-    """Regress one channel's loads on its codes; returns (c, d), their covariance and the stats."""
+def _fit_line(
+    code: Floats, load: Floats, name: str, read: NDArray[np.bool_]
+) -> tuple[Floats, Floats, FitStats]:
+    """Regress one channel's loads on its codes; returns (c, d), their covariance and the stats.
+
+    In rows in which any channel was ``read``, one without a value was not weighed.
+    """
     kept = np.isfinite(code) & np.isfinite(load)
-    dropped = int(np.sum(~kept))
+    dropped, bad = int(np.sum(~kept)), int(np.sum(~kept & ~(np.isnan(code) & read)))
     code, load = code[kept], load[kept]
-    without = f" ({dropped} samples without a finite value left out)" if dropped else ""
+    without = f" ({bad} samples without a finite value left out)" if bad else ""
     if len(load) < 2 or np.ptp(load) <= _SAME * np.max(np.abs(load)):
         seen = f"only the load {load[0]:g} N" if len(load) else "no load"
         raise CalibrationRefused(

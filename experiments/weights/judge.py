@@ -19,6 +19,7 @@ from scipy.stats import theilslopes
 
 from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
+from surefoot.calibration.reference import look_like_newtons
 from surefoot.calibration.results import Finding
 from surefoot.calibration.weights.curves import LEAST, CurveFit, Curves, fit_curve
 from surefoot.experiments.force_torque.checks import RAILS
@@ -137,7 +138,9 @@ def _fit(load: Floats, code: Floats) -> Line | None:
         scale = max(float(np.sqrt(np.mean(weight * r**2))), ROUNDING)
     residual = np.full(len(code), np.nan)
     residual[kept] = r
-    spread = scale / np.sqrt(np.sum((x - x.mean()) ** 2))
+    # What a curve leaves is no noise: repeats tell it, where there are enough.
+    scatter, free = _scatter(x, y)
+    spread = (scatter if free >= len(loads) else scale) / np.sqrt(np.sum((x - x.mean()) ** 2))
     return Line(float(theta[0] / np.abs(loads).max()), float(theta[1]), scale, residual, float(spread))
 
 
@@ -180,9 +183,7 @@ def _check_units(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Fin
         reason = f"Column 'load_N' holds round numbers ({listed}), as weights in kilograms are."
         cure = "If they are kilograms, name the column 'load_kg': all forces are 9.81 times as large then."
         yield _note("round newtons", reason, cure)
-    tenths = values * 10.0 / GRAVITY
-    even = len(values) > 1 and np.allclose(tenths, np.rint(tenths), atol=2e-3, rtol=0.0)
-    if table.column == "load_kg" and even:
+    if table.column == "load_kg" and look_like_newtons(values):
         reason = f"Column 'load_kg' holds tenths of {GRAVITY:.4g} ({listed}), as weights in newtons are."
         yield Finding("newtons", reason, "Name the column 'load_N', or give kilograms.")
 
@@ -278,6 +279,9 @@ def _check_cell(
             f"{abs(line.slope) * span:.3g}, and they scatter by {line.scale:.3g}."
         )
         cure = "Check its wiring and that the weights rest on it, or leave the column out."
+        if (np.isfinite(table.code[read]).sum(axis=1) > 1).any():
+            empty = "Leave its readings empty where the weight rested on another cell"
+            cure = f"{empty}; else {cure[0].lower()}{cure[1:]}"
         yield Finding("dead cell", reason, cure, abs(line.slope) / line.slope_std, FOLLOWS)
         return
     if out.any():
@@ -363,9 +367,14 @@ def _bend(load: Floats, code: Floats, line: Line) -> tuple[float, float, float]:
     slope, level = np.polyfit(load, code, 1)
     groups = {float(one): code[load == one] for one in np.unique(load)}
     means = [(abs(part.mean() - slope * one - level) / abs(slope), one) for one, part in groups.items()]
-    inner = [part - part.mean() for part in groups.values() if len(part) > 1]
-    free = sum(len(part) - 1 for part in inner)
-    noise = np.sqrt(sum((part**2).sum() for part in inner) / free) if free else line.scale
+    noise, free = _scatter(load, code)
     bend, at = max(means)
     count = int((load == at).sum())
-    return bend, float(at), max(float(noise), ROUNDING) / abs(slope) / np.sqrt(count)
+    return bend, float(at), (noise if free else line.scale) / abs(slope) / np.sqrt(count)
+
+
+def _scatter(load: Floats, code: Floats) -> tuple[float, int]:
+    """Return the standard deviation of readings under one load in counts, and its degrees of freedom."""
+    groups = [code[load == one] for one in np.unique(load)]
+    free = len(code) - len(groups)
+    return max(float(np.sqrt(sum(len(one) * one.var() for one in groups) / max(free, 1))), ROUNDING), free

@@ -99,6 +99,8 @@ def test_leaves_out_what_is_not_finite_and_says_so():
     np.testing.assert_allclose(fit.value.scale, [0.01, -0.02], rtol=1e-12)
     assert [stats.dropped for stats in fit.stats] == [2, 0]
     assert [stats.samples for stats in fit.stats] == [3, 5]
+    with pytest.raises(CalibrationRefused, match=r"'channel 0' saw only the load 2 N, and a line needs two"):
+        fit_channels([[100.0, np.nan], [np.nan, 300.0]], [2.0, 2.0])
     np.testing.assert_array_equal(raw, kept)
 
 

@@ -44,6 +44,28 @@ def test_sound_tables_pass(spoilt: ModuleType, shape: str) -> None:
         assert np.isfinite(judged.kept).all()
 
 
+@pytest.mark.parametrize("seed", [27, 171])
+def test_a_dead_cell_says_nothing_of_units(seed: int) -> None:
+    """By chance the counts of these change with the load by five of what a robust line leaves."""
+    load, rng = GRAVITY * np.repeat([0.0, 1.0, 2.0, 4.0], 3), np.random.default_rng(seed)
+    code = np.rint(84000 + 30.0 * rng.standard_normal((len(load), 1)))
+    findings = judge_weighings(Weighings(load, code, ("raw_a_count",), "load_kg", GRAVITY)).findings
+    assert [one.name for one in findings] == ["dead cell"]
+
+
+@pytest.mark.parametrize("cells", [2, 3])
+def test_cells_without_a_weight_are_to_be_left_empty(cells: int) -> None:
+    load, rng = np.tile(np.repeat([0.0, 1.0, 2.0, 4.0], 3), cells), np.random.default_rng(0)
+    code = 84000 + 30.0 * rng.standard_normal((len(load), cells))
+    code += 1e5 * np.kron(np.eye(cells), np.ones((12, 1))) * load[:, None]
+    names = tuple(f"raw_{i}_count" for i in range(cells))
+    table = Weighings(GRAVITY * load, np.rint(code), names, "load_kg", GRAVITY)
+    first = judge_weighings(table).findings[0]
+    assert first.cure.startswith("Leave its readings empty where the weight rested on another cell;")
+    own = np.where(np.kron(np.eye(cells), np.ones((12, 1))) > 0.0, table.code, np.nan)
+    assert judge_weighings(replace(table, code=own)).findings == []
+
+
 def test_a_label_of_another_load_is_named(spoilt: ModuleType) -> None:
     table = spoilt.weigh("four cells", 5)
     table = replace(table, load=np.where(table.load == 2.0 * GRAVITY, 2.5 * GRAVITY, table.load))
