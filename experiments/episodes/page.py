@@ -8,14 +8,17 @@ from surefoot.experiments.episodes.episode import VERSIONS
 from surefoot.experiments.episodes.plan import find_scenario
 from surefoot.experiments.episodes.run import EpisodeResults, sort_episodes
 from surefoot.experiments.episodes.scores import (
+    CALIBRATED,
     COMPARISONS,
     controllers_of,
     same_seeds,
     seeds_text,
+    severities_of,
     trainings,
 )
 from surefoot.experiments.policy.controllers import labels
 from surefoot.experiments.policy.tasks import find_task
+from surefoot.experiments.study.figures import by_way
 from surefoot.experiments.study.page import Report, Section, Words, command_line, failure_section, publish
 from surefoot.experiments.study.tables import Frame, Table, plural, sentence
 
@@ -24,6 +27,8 @@ _say = Words("episodes")
 _KINDS = {"true": ": trained on true feet", "randomised": ": trained on randomised feet"}
 
 _LEARNT_NOTHING = {"stabiliser": ": feedback of the CoP, no learning", "zero": ": nobody acts"}
+
+_READ = {"true": "on true feet", "none": "on raw readings", CALIBRATED: f"by {CALIBRATED!r}"}
 
 PAGE = "index.html"
 
@@ -83,7 +88,26 @@ def write_evaluation(frame: Frame, failed: Frame, folder: Path) -> Report:
     made = [f"{brief[name]}: {_versions_of(runs)}." for name, runs in own.items()]
     repeat = "The episodes were made with these versions. " + " ".join([*made, _say("again")])
     sections.append(Section("repeat", "Repeat it", (repeat,), commands=(command_line(),)))
-    return publish(folder, f"surefoot evaluate: {task.name}", introduction, sections, name=PAGE)
+    title, lead = f"surefoot evaluate: {task.name}", _lead({"": frame})
+    return publish(folder, title, introduction, sections, lead=lead, name=PAGE)
+
+
+def _lead(parts: dict[str, Frame]) -> Section:
+    """Begin the page with who falls at the largest severity, and what is returned; ``parts`` by title."""
+    said = [f"{title}{text}" for title, frame in parts.items() for text in _say_outcomes(frame)]
+    return Section("lead", "What was done", findings=tuple(said))
+
+
+def _say_outcomes(frame: Frame) -> Iterator[str]:
+    for name, brief in labels(controllers_of(frame)).items():
+        own = frame[frame["controller"] == name]
+        severity = max(severities_of(own), default=0.0)
+        feeds = by_way(own[(own["feed"] == "true") | (own["severity"] == severity)], "feed")
+        shown = {feed: feeds[feed] for feed in ("true", "none", CALIBRATED) if feed in feeds}
+        fell = {feed: f"{int(runs['fell'].sum())} of {len(runs)} fall" for feed, runs in shown.items()}
+        said = [f"{_READ[feed]} {fell[feed]} (return {shown[feed]['return'].mean():.0f})" for feed in shown]
+        if said:
+            yield f"{brief}, severity {severity:g}: {'; '.join(said)}."
 
 
 def _versions_of(runs: Frame) -> str:
@@ -136,13 +160,14 @@ def write_sweep(results: EpisodeResults) -> Report:
         failed=plural(len(results.failed), "case"),
     )
     introduction = (_say("sweep", cells=plan.cells), amount)
-    report = publish(folder, "surefoot sweep", introduction, sections, name=PAGE)
+    lead = _lead({f"{sentence(title)}: ": rows[rows["scenario"] == name] for name, title in titles.items()})
+    report = publish(folder, "surefoot sweep", introduction, sections, lead=lead, name=PAGE)
     return report._replace(tables=tuple(table for table in report.tables if table.name != "worst"))
 
 
 def _sweep_sections(rows: Frame, titles: dict[str, str], drawn: Path) -> Iterator[Section]:
     if (half := tables.half_table(rows, titles)) is not None:
-        yield Section("summary", "In short", tables=(half,))
+        yield Section("half", "Where half fall", tables=(half,))
     for name, title in titles.items():
         part = sort_episodes(rows[rows["scenario"] == name])
         table = tables.score_table(part, f"outcome_{name}", sentence(title))

@@ -68,6 +68,7 @@ def test_the_page_is_one_file_with_everything(tmp_path, undrawn):
         "clean: trained on true feet",
         "3 of 20",
         "drifting less nobody",
+        "zero, severity 2: on true feet 3 of 20 fall (return 58); on raw readings 3 of 20 fall (return 58)",
     ):
         assert words in text
     names = list(found)
