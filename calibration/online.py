@@ -138,7 +138,7 @@ def resolve_method(method: Any, options: Mapping[str, Any]) -> tuple[str, dict[s
     kind = type(method)
     found = [name for name, entry in METHODS.items() if entry.config is not None and kind is entry.config]
     if not found:
-        return method_name(method, 4), dict(options)
+        return method_name(method), dict(options)
     own = {field.name: getattr(method, field.name) for field in fields(method)}
     own = {field.name: own[field.name] for field in fields(method) if own[field.name] != field.default}
     if twice := own.keys() & options.keys():
@@ -152,8 +152,7 @@ def online_method(name: str, setup: OnlineSetup, **options: Any) -> OnlineMethod
     """Build a method by its name.
 
     Args:
-        name: A key of :data:`METHODS`, ``"module:name"`` for one of yours, or an old name, with a
-            ``DeprecationWarning``.
+        name: A key of :data:`METHODS`, ``"module:name"`` for one of yours.
         setup: The robot.
         options: Fields of the method's config.
 

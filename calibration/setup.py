@@ -1,6 +1,5 @@
 """An online method, and its setup: the facts about the robot."""
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -17,26 +16,15 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY
 
-OLD_NAMES: Mapping[str, str] = MappingProxyType({"surefoot": "moment"})
-"""Today's names of methods by the names that they had before."""
 
-
-def method_name(name: str, stacklevel: int = 3) -> str:
-    """Return a method's name of today; an old one is accepted with a ``DeprecationWarning`` that names it.
-
-    That of a user's method keeps its module, ``"module:name"``, which other processes need. The warning is
-    about a line so far up; what is no name is a TypeError.
-    """
+def method_name(name: Any) -> str:
+    """Return a method's name, with the module of a user's, ``"module:name"``; TypeError if it is none."""
     if not isinstance(name, str):
         raise TypeError(
             "'method' must be a name, such as 'moment', or its options, such as Moment(scale_std=0.2), "
             f"got {name!r} of {type(name).__name__}."
         )
-    if name not in OLD_NAMES:
-        return name
-    today = OLD_NAMES[name]
-    warnings.warn(f"The method {name!r} is called {today!r} now.", DeprecationWarning, stacklevel=stacklevel)
-    return today
+    return name
 
 
 class _Functions(NamedTuple):

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Floats
 from surefoot.calibration.estimate import ALL_FLAGS
-from surefoot.calibration.setup import OLD_NAMES
 from surefoot.files import AnyPath, atomic_path, read_arrays
 
 _FORMAT = "surefoot-state-1"
@@ -54,9 +53,8 @@ def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes
     """Read a state that :func:`save_state` wrote.
 
     ``like`` is a state of the same method and setup, such as a fresh one, whose shapes must fit; it is not
-    changed. Notes must be as they were saved; under ``method`` an old name of the method is accepted.
-    FileNotFoundError if there is no such file; ValueError if it is no state, not one of this method, shape
-    and dtype, or holds numbers that no state can have.
+    changed. Notes must be as they were saved. FileNotFoundError if there is no such file; ValueError if it is
+    no state, not one of this method, shape and dtype, or holds numbers that no state can have.
     """
     wanted = {name: np.asarray(leaf) for name, leaf in _leaves(like).items()}
     # Twice: of a state that is somewhat larger the message names what does not fit.
@@ -101,9 +99,6 @@ def _check_notes(path: AnyPath, entries: Mapping[str, Any], notes: Mapping[str, 
         if f"note.{name}" not in entries:
             raise ValueError(f"'{path}' holds no {name}, but '{text}' is wanted: another's file.")
         saved = str(entries[f"note.{name}"])
-        if name == "method":
-            method, space, options = saved.partition(" ")
-            saved = OLD_NAMES.get(method, method) + space + options
         if saved != text:
             raise ValueError(f"'{path}' was saved for {name} '{saved}', but this is '{text}'.")
 

@@ -22,8 +22,6 @@ try:
     from surefoot.envs.prelude import Prelude
     from surefoot.envs.robots.library import load_robot_spec
     from surefoot.envs.robots.nao import load_nao_spec
-
-    Truth = FeetTruth  # what the truth of the NAO's tasks was called
 except ModuleNotFoundError as missing:
     raise not_installed(__name__, missing, "sim") from None
 
@@ -43,7 +41,6 @@ __all__ = [
     "NaoWalkEnv",
     "Prelude",
     "RobotDrawing",
-    "Truth",
     "instrument",
     "load_nao_spec",
     "load_robot_spec",

@@ -1,10 +1,9 @@
 """Checks of arguments and of configurations, and configurations from mappings (JSON, TOML)."""
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from math import inf
-from types import MappingProxyType, NoneType
+from types import NoneType
 from typing import Annotated, Any, NamedTuple, TypeGuard, TypeVar, get_args
 
 Config = TypeVar("Config")
@@ -39,25 +38,6 @@ Positive = Annotated[
 Whole = Annotated[int, Rule("be a positive whole number", lambda value: is_whole(value) and value > 0)]
 Bits = Annotated[int, Rule("lie in 0 to 32", lambda value: is_whole(value) and 0 <= value <= 32)]
 Error = Annotated[NotNegative, ErrorField()]  # a number that is an error
-
-OLD_NAMES: Mapping[str, str] = MappingProxyType(
-    {
-        "initial_gain_std": "initial_scale_std",
-        "gain_drift": "scale_drift",
-        "gain_error_std": "scale_error_std",
-        "span_tempco": "scale_tempco",
-        "initial_zero_std": "initial_offset_std",
-        "initial_zero_force_std": "initial_offset_force_std",
-        "initial_zero_torque_std": "initial_offset_torque_std",
-        "zero_drift": "offset_drift",
-        "zero_drift_force": "offset_drift_force",
-        "zero_drift_torque": "offset_drift_torque",
-        "zero_tempco": "offset_tempco",
-        "zero_tempco_force": "offset_tempco_force",
-        "zero_tempco_torque": "offset_tempco_torque",
-    }
-)
-"""Names of fields in files of version 0.1 and what they are called now."""
 
 
 def check_not_negative(**values: float) -> None:
@@ -99,24 +79,13 @@ def check_fields(config: Any) -> None:
                 require(rule.holds(value), config, field.name, rule.words)
 
 
-def current_names(mapping: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a mapping with today's names of fields; those of version 0.1 warn, and both are a ValueError."""
-    old = {name: OLD_NAMES[name] for name in mapping if name in OLD_NAMES}
-    if twice := [name for name, new in old.items() if new in mapping]:
-        raise ValueError(f"{twice} are old names of fields that are there as well: leave them out.")
-    for name, new in old.items():
-        warnings.warn(f"The field '{name}' is called '{new}' now.", DeprecationWarning, stacklevel=3)
-    return {old.get(name, name): value for name, value in mapping.items()}
-
-
 def from_mapping(kind: type[Config], mapping: Mapping[str, Any]) -> Config:
     """Make a configuration of a mapping, such as ``dataclasses.asdict`` and JSON return.
 
     Args:
         kind: The configuration's class.
         mapping: Values for some of its fields; the others keep their defaults. Lists become tuples,
-            and mappings the configurations that those fields hold. Names of version 0.1 are understood
-            (:func:`current_names`).
+            and mappings the configurations that those fields hold.
 
     Raises:
         TypeError: If it is no mapping.
@@ -127,7 +96,6 @@ def from_mapping(kind: type[Config], mapping: Mapping[str, Any]) -> Config:
             f"A {kind.__name__} is made of a mapping of its fields, got {mapping!r} of "
             f"{type(mapping).__name__}."
         )
-    mapping = current_names(mapping)
     defaults = {field.name: field.default for field in fields(kind)}  # type: ignore[arg-type]
     if unknown := sorted(set(mapping) - set(defaults)):
         raise ValueError(f"{kind.__name__} has no field {unknown}; it has {list(defaults)}.")

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
-from pydantic import AliasChoices, ConfigDict, Field, PlainValidator, model_validator
+from pydantic import ConfigDict, Field, PlainValidator, model_validator
 
 from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor
 from surefoot.calibration.parameters import Parameters
@@ -94,9 +94,7 @@ class Description(Settings):
     layout: Annotated[FeetLayout, PlainValidator(_layout)]
     mass_kg: Positive  # as the robot assumes it
     nominal: Annotated[Parameters, PlainValidator(_map)]  # offsets may be left out: read in the air
-    calibrated: Annotated[Parameters, PlainValidator(_map)] | None = Field(
-        None, validation_alias=AliasChoices("calibrated", "bench")
-    )
+    calibrated: Annotated[Parameters, PlainValidator(_map)] | None = None
     curves: list[Any] | None = (
         None  # of channels that are not linear, as `surefoot calibrate weights` has them
     )

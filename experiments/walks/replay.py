@@ -64,7 +64,7 @@ def starting_map(log: Log, start: str | None = None) -> Parameters:
     """Return the nominal or the calibrated map, or raise LogError; by default as ``about`` says."""
     if start is None:
         start = str(log.about.get("start", "nominal"))
-    if start not in ("nominal", "calibrated", "bench"):
+    if start not in ("nominal", "calibrated"):
         raise LogError(f"A replay starts from 'nominal' or 'calibrated', not from '{start}'.")
     found = log.nominal if start == "nominal" else log.calibrated
     if found is None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from surefoot.names import plain_name
 from surefoot.sensors import PRESETS, ForceTorque, LoadCells, preset
-from surefoot.sensors.configuration import current_names, from_mapping
+from surefoot.sensors.configuration import from_mapping
 from surefoot.sensors.presets import refuse_config, resolve
 from surefoot.sensors.transport.link import JITTER_BOUND
 
@@ -33,10 +33,12 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice, name: str = "confi
             return preset(config, ForceTorque)
         names = {kind.__name__: sorted(PRESETS[kind]) for kind in (LoadCells, ForceTorque)}
         raise ValueError(f"There is no foot sensor preset '{config}'; there are {names}.")
-    if isinstance(config, Mapping):
-        config = current_names(config)
-        if not set(config) <= _keys(LoadCells) and set(config) <= _keys(ForceTorque):
-            return from_mapping(ForceTorque, config)
+    if (
+        isinstance(config, Mapping)
+        and not set(config) <= _keys(LoadCells)
+        and set(config) <= _keys(ForceTorque)
+    ):
+        return from_mapping(ForceTorque, config)
     return resolve(config, LoadCells)
 
 

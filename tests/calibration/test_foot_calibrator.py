@@ -12,10 +12,9 @@ from surefoot.calibration import (
     Reference,
     SwingTare,
     Window,
-    online_method,
     replay,
 )
-from surefoot.calibration.state import load_state, save_state
+from surefoot.calibration.state import load_state
 from surefoot.native import CALIBRATION
 
 FAULTS = Faults.bad()
@@ -65,24 +64,6 @@ def test_saved_and_loaded_it_goes_on_bit_for_bit(log, method, tmp_path):
             found = second.update(raw, row)
     for a, b in zip(expected, found, strict=True):
         np.testing.assert_array_equal(a, b)
-
-
-def test_the_old_name_of_the_moment_filter_still_works(log, tmp_path):
-    with pytest.warns(DeprecationWarning, match="The method 'surefoot' is called 'moment' now") as caught:
-        old = make("surefoot")
-    assert caught[0].filename == __file__
-    assert old.method == "moment"
-    old.update(log.raw[0], rows(log)[0])
-    # Files that were saved under the old name, by the calibrator and by wrappers, which add options.
-    for saved, today in (("surefoot", "moment"), ("surefoot {'a': 1}", "moment {'a': 1}")):
-        save_state(tmp_path / "old.npz", old.state, method=saved)
-        assert load_state(tmp_path / "old.npz", old.state, method=today) is not None
-    with pytest.raises(ValueError, match=r"was saved for method 'moment \{'a': 1\}', but this is 'window'"):
-        load_state(tmp_path / "old.npz", old.state, method="window")
-    with pytest.warns(DeprecationWarning, match="'moment' now"):
-        replay(LAYOUT, "surefoot", log.raw[:3], Reference(*(part[:3] for part in log.reference)), mass=MASS)
-    with pytest.warns(DeprecationWarning, match="'moment' now"):
-        online_method("surefoot", old.setup)
 
 
 @pytest.mark.parametrize("library", ["installed", "none"])

@@ -65,7 +65,7 @@ def test_the_window_takes_its_weights_of_a_quiet_stand(
 def test_none_is_the_starting_map(log: Log) -> None:
     calibrated = Parameters(1.1 * log.nominal.scale, log.nominal.offset + 0.5)
     log = dataclasses.replace(log, calibrated=calibrated)
-    for start, expected in (("nominal", log.nominal), ("calibrated", calibrated), ("bench", calibrated)):
+    for start, expected in (("nominal", log.nominal), ("calibrated", calibrated)):
         replayed = replay_logs([log], "none", start)[0]
         np.testing.assert_allclose(replayed.force, expected.force(log.raw), atol=1e-9)
         np.testing.assert_allclose(replayed.scale, np.tile(expected.scale, (len(log), 1)), rtol=1e-12)

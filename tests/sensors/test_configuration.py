@@ -13,7 +13,7 @@ import pytest
 from _refusals import refusals
 
 from surefoot.sensors import PRESETS, Encoders, ForceTorque, Imu, Link, LoadCells, Mechanics, Wire, preset
-from surefoot.sensors.configuration import OLD_NAMES, from_mapping
+from surefoot.sensors.configuration import from_mapping
 from surefoot.sensors.presets import resolve
 
 TAU = {"creep_time_constants": [3.0]}
@@ -63,16 +63,6 @@ def test_a_mapping_may_hold_mappings() -> None:
     config = resolve({"wire": {"delay": 0.02}, "mechanics": {"creep_shares": [0.1]} | TAU}, LoadCells)
     assert config.wire == Wire(delay=0.02)
     assert config.mechanics == Mechanics(creep_shares=(0.1,), creep_time_constants=(3.0,))
-
-
-def test_names_of_version_0_1_are_read_and_answered_with_the_new_ones() -> None:
-    with pytest.warns(DeprecationWarning, match="'gain_drift' is called 'scale_drift' now"):
-        assert resolve({"gain_drift": 0.5}, LoadCells) == LoadCells(scale_drift=0.5)
-    with pytest.raises(ValueError, match=r"\['zero_drift'\] are old names of fields that are there as well"):
-        resolve({"zero_drift": 0.5, "offset_drift": 0.5}, LoadCells)
-    named = {name for kind in PRESETS for name in kind.__dataclass_fields__}
-    assert set(OLD_NAMES.values()) <= named
-    assert not set(OLD_NAMES) & named
 
 
 test_anything_else_is_refused = refusals(

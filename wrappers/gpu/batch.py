@@ -9,7 +9,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from surefoot.calibration.setup import OLD_NAMES
 from surefoot.wrappers.gpu.kernels import Kernel
 
 RobotIds = Tensor | slice | Sequence[int] | int | None
@@ -146,8 +145,6 @@ class BatchModule(nn.Module, ABC):
         """
         for name, ours in (identity | {"records": kernel.layout}).items():
             theirs = saved.get("identity", {}).get(name, "")
-            if name == "method":
-                theirs = OLD_NAMES.get(theirs, theirs)
             if theirs != ours:
                 raise ValueError(
                     f"The saved state is of another {type(self).__name__}: its {name} is {theirs!r}, this "
