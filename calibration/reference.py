@@ -22,7 +22,8 @@ def look_like_newtons(masses: ArrayLike) -> bool:
     """Return whether masses in kg, zeros aside, are several weights in newtons of tenths of a kilogram."""
     different = np.unique(masses)
     tenths = 10.0 / GRAVITY * different[different != 0.0]
-    return len(tenths) > 1 and np.allclose(tenths, np.rint(tenths), atol=_DIGITS, rtol=0.0)
+    whole = np.maximum(np.rint(tenths), 1.0)
+    return len(tenths) > 1 and np.allclose(tenths, whole, atol=_DIGITS, rtol=0.0)
 
 
 class Reference(NamedTuple):

@@ -41,7 +41,7 @@ from surefoot.calibration.checks import (
     check_value,
 )
 from surefoot.calibration.cop import FORCE_THRESHOLD, moment_rows
-from surefoot.calibration.front_end.motion import LARGEST_REFERENCE
+from surefoot.calibration.front_end.motion import FARTHEST, LARGEST_REFERENCE
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
@@ -227,7 +227,9 @@ class QuietStanding:
         force = self.start.force(raw)
         beliefs = (reference.com, reference.position_sole, reference.R_level_sole)
         measured = (reference.accelerometer, reference.gyroscope)
-        return bool((np.abs(force) <= PLAUSIBLE_WEIGHTS * self.mass * self.gravity).all()) and all(
+        near = np.abs(reference.position_sole - reference.com) <= FARTHEST
+        force_fits = np.abs(force) <= PLAUSIBLE_WEIGHTS * self.mass * self.gravity
+        return bool(near.all() and force_fits.all()) and all(
             bool((np.abs(part) <= LARGEST_REFERENCE).all()) for part in (*beliefs, *measured)
         )
 

@@ -46,7 +46,7 @@ class Learnt(NamedTuple):
     masses: Masses  # the robot's beliefs of its bodies
 
 
-_OF_THE_ROBOT: Final = frozenset({"curves", "dt", "layout", "mass"})  # what a user's loop gives a calibrator
+_ROBOT_FACTS: Final = frozenset({"curves", "dt", "layout", "mass"})  # which a user's own loop gives
 
 ALIASED: Final = 4.0
 """Ripple of feet that are read in one substep of a control step: the last of ten substeps was from their mean
@@ -107,7 +107,7 @@ class CalibrationSetup:
         **options: Any,
     ) -> None:
         self.method, options = resolve_method(method, options)
-        if own := sorted(_OF_THE_ROBOT & options.keys()):
+        if own := sorted(_ROBOT_FACTS & options.keys()):
             raise ValueError(
                 f"'{own[0]}' is no option of {owner}: it follows from the robot's model and its sensors. "
                 "What the robot believes wrongly is 'errors', such as errors={'mass': 0.02}."

@@ -107,7 +107,7 @@ class Motions:
         )
         return np.concatenate(parts, dtype=np.float64)
 
-    def sound(self, motion: Array) -> bool:
+    def is_sound(self, motion: Array) -> bool:
         """Return whether a flat reference, (R,), is finite and of a robot's size: no millimetres."""
         com, soles = motion[self.columns.com], motion[self.columns.position_sole].reshape(-1, 3)
         finite = (np.abs(motion) <= LARGEST_REFERENCE).all()

@@ -138,7 +138,7 @@ class FrontEnd:
         past_read = past_read > 0.5
 
         flat = self.motions.flatten(reference)
-        sound = self.motions.sound(flat)
+        sound = self.motions.is_sound(flat)
         motion, known = flat if sound else state.motion, state.known or sound
         good = sound and not gap and bool(past_read.all())
         clean = state.clean + 1 if good else 0

@@ -39,9 +39,9 @@ def savitzky_golay(
     values = np.asarray(signal, dtype=np.float64)
     if values.ndim == 0:
         raise ValueError("'signal' must have samples on its first axis, got a single number.")
-    if window % 2 == 0 or not 0 <= derivative <= order < window:
+    if window % 2 == 0 or not 0 <= derivative <= order < window or order > 5:
         raise ValueError(
-            "'window' must be odd and exceed 'order', and 'derivative' must not, "
+            "'window' must be odd and exceed 'order', at most 5, and 'derivative' must not, "
             f"got window={window}, order={order}, derivative={derivative}."
         )
     check_value("dt", dt, positive=True)

@@ -605,14 +605,14 @@ def _tell_signs(evidence: Evidence, pair: Sequence[Matrix]) -> tuple[str, Soluti
     for axes in pair:
         problem, outer = _change_axes(evidence, axes)
         fits.append(minima(problem, [outer, *starts(problem, None, None)])[0])
-    if evidence.response is None:
-        odds = [-0.5 * deviance(one) for one in fits]
-    else:
+    odds = [-0.5 * deviance(one) for one in fits]
+    alike = len(pair) > 1 and abs(odds[0] - odds[1]) < limits.CLEARER
+    if evidence.response is not None and alike:
         off = [evidence.problem.whitening @ (one.A - evidence.response) for one in fits]
         odds = [-float(np.sum(one**2)) for one in off]
     likelier = int(np.argmax(odds))
     words = "axes of all places or of the IMU are others, or the IMU is turned: x, y, z as given are "
-    if evidence.response is None and len(pair) > 1 and abs(odds[0] - odds[1]) < limits.CLEARER:
+    if evidence.response is None and alike:
         more = f"; {_name_axes(pair[1])} fit as well, with all torques negated"
         return words + _name_axes(pair[0]) + more, fits[0]
     return words + _name_axes(pair[likelier]), fits[likelier]

@@ -173,7 +173,7 @@ def _check_newtons(sets: Sequence[InSituSet]) -> Iterator[Finding]:
     masses = [data.added_mass for data in sets]
     if look_like_newtons(masses):
         listed = ", ".join(f"{one:g}" for one in masses if one)
-        reason = f"The added masses are tenths of {GRAVITY:g} ({listed}), as weights in newtons are."
+        reason = f"The added masses are multiples of {GRAVITY / 10:g} ({listed}), as weights in newtons are."
         yield Finding("newtons", reason, "Give masses in kg.")
 
 

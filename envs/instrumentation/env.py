@@ -110,11 +110,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         foreign = isinstance(base, _Physics)
         description = _describe(base, foreign, soles, spec, in_place)
         given: dict[str, Any] = {"cells": cells, "margin": margin, "prefix": prefix}
-        self.untouched = (
-            "dm_control's physics holds it"
-            if foreign
-            else "there is no description of it: give InstrumentedEnv a 'spec'"
-        )
+        unknown = "there is no description of it: give InstrumentedEnv a 'spec'"
+        self.untouched = "dm_control's physics holds it" if foreign else unknown
         self.instrumentation: Instrumentation | None = None
         samples = count_substeps(base)
         if in_place is False:

@@ -33,8 +33,7 @@ HELD: Final = 1e4
 """Inertia in kg m^2 that holds a joint meanwhile: a humanoid's weight turns it by less than a milliradian."""
 
 LEAST_SHARE_ON_FEET: Final = 0.95
-"""Least share of the weight that guessed feet must carry; a toe or heel that was missed bears twice the
-rest."""
+"""Least share of the weight that guessed feet must carry: what lacks is half of what a toe or heel bears."""
 
 UPRIGHT: Final = 0.5
 """Least height of the torso above the feet as a share of its distance from them, of a robot that stands."""

@@ -180,8 +180,9 @@ def check_layout(foot: FootGeometry, cells: ArrayLike) -> Floats:
     # Cells may stand out from under a sole, but no farther than it is long or wide.
     if np.any((places < 2.0 * low - high) | (places > 2.0 * high - low)):
         raise ValueError(
-            f"The cells of '{foot.body}' must be under its sole, which reaches from {low.round(3).tolist()} "
-            f"to {high.round(3).tolist()}, got {places.tolist()}; places are in m, in the sole's frame."
+            f"The cells of '{foot.body}' must be no farther beside its sole than that is long and wide, from "
+            f"{low.round(3).tolist()} to {high.round(3).tolist()}, got {places.tolist()}; give m, "
+            "in the sole's frame."
         )
     return places
 

@@ -246,7 +246,8 @@ def facts_table(one: Recording) -> Table:
         if step > 0.0:
             near = steps[np.abs(steps - step) < 0.5 * step]
             jitter = float(near.std())
-            jitter *= jitter > np.spacing(np.abs(one.time).max())  # which a clock's numbers cannot hold
+            if jitter < np.spacing(np.abs(one.time).max()):
+                jitter = 0.0  # the numbers of the clock are no finer
             rows.append(("rows", f"{1.0 / step:.4g} a second, jitter {1e3 * jitter:.2g} ms"))
     if isinstance(one.read, Log):
         rows.append(("mass", f"{one.read.mass:.4g} kg"))

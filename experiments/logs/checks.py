@@ -101,7 +101,7 @@ def check_time(time: Floats, dt: float, max_gap: float, file: str) -> None:
 def unit_of_times(step: float, dt: float = np.nan) -> str:
     """Return the unit of times of which a step is ``dt`` s or, by default, one of feet; "" if none fits."""
     for unit, one in CLOCKS.items():
-        if step * one <= MAX_GAP if np.isnan(dt) else abs(step * one / dt - 1.0) < 0.1:
+        if step * one <= 2.0 * MAX_GAP if np.isnan(dt) else abs(step * one / dt - 1.0) < 0.1:
             return unit
     return ""
 

@@ -38,7 +38,7 @@ HARDEST = 3.0
 """Weights that the load of a foot changes by at most: those of runners do by two to three (Nilsson and
 Thorstensson 1989, Acta Physiol. Scand. 136)."""
 
-MOSTLY = 0.5  # share of readings about a moment from which on its contacts are known
+MOSTLY = 0.4  # share of readings about a moment from which on its contacts are known: of half as many rows
 FLAT = 0.01  # std of a foot's load in weights up to which it may hang in the air
 
 Bools = NDArray[np.bool_]

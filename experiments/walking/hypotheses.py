@@ -49,14 +49,18 @@ def pulling_hypotheses(claims: Claims, layout: FeetLayout) -> Iterator[Hypothesi
     """Yield every mistake by which feet seem to pull the ground.
 
     Offsets that were read in the air are those of loaded cells if the foot was another one, or stood: they
-    are read again once the mistake is undone.
+    are read again once the mistake is undone. So they are where the offsets alone are wrong.
     """
     cause = "all channels have the other sign"
     turned = partial(_multiply, factor=-np.ones(layout.channels))
-    yield Hypothesis("sign of channels", cause, f"{_TURN}: standing is positive", turned)
-    if claims.reference.swing.any():
-        for one in _wiring(layout):
-            yield one._replace(undo=partial(_read_offsets, undo=one.undo))
+    signs = Hypothesis("sign of channels", cause, f"{_TURN}: standing is positive", turned)
+    if not claims.reference.swing.any():
+        yield signs
+        return
+    own = "offset_N are not those of these channels"
+    cure = "leave out offset_N, which is then read while a foot swings"
+    for one in (signs, Hypothesis("offset", own, cure, lambda claims: claims), *_wiring(layout)):
+        yield one._replace(undo=partial(_read_offsets, undo=one.undo))
 
 
 def _read_offsets(claims: Claims, undo: Callable[[Claims], Claims]) -> Claims:

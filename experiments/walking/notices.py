@@ -89,7 +89,9 @@ def find_broken(log: Log, file: str) -> Iterator[Wrong]:
     names, nowhere = tuple(raw_names_of(log.layout)), np.zeros(log.raw.shape, dtype=bool)
     recording = Recording(file, "walk", names, log.time, log.raw, nowhere)
     timeless = replace(recording, time=np.full(len(log), np.nan))  # noise and drift need no look
-    yield from (one for one in find_wrong(recording, facts_of(timeless)) if one.finding.refuses)
+    for one in find_wrong(recording, facts_of(timeless)):
+        if one.finding.refuses and one.finding.name != "gaps":
+            yield one
 
 
 def _clock_notices(log: Log) -> Iterator[str]:

@@ -138,9 +138,12 @@ def _fit(load: Floats, code: Floats) -> Line | None:
         scale = max(float(np.sqrt(np.mean(weight * r**2))), ROUNDING)
     residual = np.full(len(code), np.nan)
     residual[kept] = r
-    # What a curve leaves is no noise: repeats tell it, where there are enough.
-    scatter, free = _scatter(x, y)
-    spread = (scatter if free >= len(loads) else scale) / np.sqrt(np.sum((x - x.mean()) ** 2))
+    spread = max(scale, _scatter(x, y)[0]) / np.sqrt(np.sum((x - x.mean()) ** 2))
+    if (np.diff(middle) * theta[0] <= 0.0).any():
+        # No curve: what drifts from one weight to the next, readings right after each other do not show.
+        means = np.array([r[x == one].mean() for one in loads])
+        between = np.sum(means**2) / max(len(loads) - 2, 1) / np.sum((loads - loads.mean()) ** 2)
+        spread = max(spread, np.sqrt(between))
     return Line(float(theta[0] / np.abs(loads).max()), float(theta[1]), scale, residual, float(spread))
 
 

@@ -26,6 +26,7 @@ test_what_cannot_be_filtered_is_refused = refusals(
     (np.zeros(300), {}, "The log holds 300 samples, but the filter's window is 301 samples long"),
     (np.array(1.0), {}, "'signal' must have samples on its first axis, got a single number."),
     (np.zeros(9), {"window": 4}, "'window' must be odd and exceed 'order'"),
+    (np.zeros(9), {"window": 9, "order": 6}, "exceed 'order', at most 5"),
     (np.zeros(9), {"window": 3}, "got window=3, order=3, derivative=0."),
     (np.zeros(9), {"window": 5, "derivative": 4}, "got window=5, order=3, derivative=4."),
     (np.zeros(9), {"window": 5, "dt": 0.0}, "'dt' must be positive and finite, got 0.0."),

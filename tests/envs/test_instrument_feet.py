@@ -83,7 +83,7 @@ def test_chosen_cells_are_used_and_wrong_ones_are_refused():
         ({"hand": places}, r"\['hand'\], which are no feet here; the feet are \['foot_l', 'foot_r'\]"),
         ({"foot_l": places[:3]}, r"four finite places .* got shape \(3, 2\)"),
         ({"foot_l": places * (1.0, 0.0)}, "lie on one line"),
-        ({"foot_l": 1e3 * places}, r"under its sole, which reaches from .* got \[\[100.0, 30.0\]"),
+        ({"foot_l": 1e3 * places}, r"than that is long and wide, from .* got \[\[100.0, 30.0\]"),
     ]
     for cells, match in refused:
         with pytest.raises(ValueError, match=match):

@@ -65,6 +65,15 @@ def test_feet_that_pull_by_offsets_read_in_the_air(
     assert unsettled.cure.startswith("If so, turn the signs of scale_N_per_count")
 
 
+@pytest.mark.parametrize("lower", [[20.0] * 8, [60.0] * 4 + [0.0] * 4], ids=["all cells", "a foot"])
+def test_feet_that_pull_by_offsets_of_others(bad_start: Log, lower: list[float]) -> None:
+    nominal = bad_start.nominal._replace(offset=bad_start.nominal.offset - lower)
+    wrong = weigh_feet(bad_start, "nominal", nominal)
+    assert wrong is not None
+    assert wrong.name == "offset"
+    assert wrong.cure == "Leave out offset_N, which is then read while a foot swings."
+
+
 def test_sound_walks_are_let_through(walks: dict[str, Log]) -> None:
     for log in walks.values():
         verdict = judge(log)

@@ -53,6 +53,19 @@ def test_a_dead_cell_says_nothing_of_units(seed: int) -> None:
     assert [one.name for one in findings] == ["dead cell"]
 
 
+def test_a_dead_cell_that_drifts_between_weights_is_dead() -> None:
+    """Repeats right after each other do not show it, and are no measure of what a slope is worth."""
+    found = []
+    for seed in range(20):
+        rng, load = np.random.default_rng(seed), GRAVITY * np.repeat([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], 3)
+        code = 84000 + np.repeat(30.0 * rng.standard_normal(6), 3) + 3.0 * rng.standard_normal(18)
+        table = Weighings(load, np.rint(code[:, None]), ("raw_a_count",), "load_kg", GRAVITY)
+        found.append(judge_weighings(table).findings[0])
+    assert all(one.refuses for one in found)
+    # Of others one weight less would make a line.
+    assert sum(one.name == "dead cell" for one in found) > 15
+
+
 @pytest.mark.parametrize("cells", [2, 3])
 def test_cells_without_a_weight_are_to_be_left_empty(cells: int) -> None:
     load, rng = np.tile(np.repeat([0.0, 1.0, 2.0, 4.0], 3), cells), np.random.default_rng(0)

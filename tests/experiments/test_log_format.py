@@ -248,11 +248,3 @@ def test_files_that_are_no_logs(log: Log, tmp_path: Path) -> None:
         assert refusal_of(tmp_path / name).startswith(message)
     with pytest.raises(LogError, match=r"^walk\.mat: a log ends in \.parquet or \.csv; rename the file\."):
         write_log(log, tmp_path / "walk.mat")
-
-
-def test_a_calibrated_map_under_its_old_name_is_read(log: Log, tmp_path: Path) -> None:
-    path = write_log(dataclasses.replace(log, calibrated=log.nominal), tmp_path / "walk.csv")
-    redescribe(path, bench=json.loads(path.with_suffix(".json").read_text())["nominal"], calibrated=None)
-    found = read_log(path).calibrated
-    assert found is not None
-    np.testing.assert_array_equal(found.scale, log.nominal.scale)
