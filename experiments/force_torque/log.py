@@ -31,8 +31,6 @@ _FEWEST_ROWS = 7
 
 _ALIKE = 1e-6  # in kg or m
 
-_SIGN = " The signs of the torques are those of the places as given."
-
 
 @dataclass(frozen=True, eq=False)
 class InSituLog:
@@ -115,10 +113,12 @@ def read_in_situ_log(
     )
     file, channels, matrix = parts[0].file, parts[0].channels, config.factory.matrix
     if matrix is None:
+        moves = any(one.moves for one in sets)
+        signs = "" if moves else " The signs of the torques are those of the places as given."
         notices.append(
             f"{file}: there is no factory matrix to check the accelerometer's sign with, and a wrong one "
             "would turn the calibrated wrench round; see that a limb that hangs pulls along gravity."
-            f"{_SIGN if not any(one.moves for one in sets) else ''}"
+            f"{signs}"
         )
     elif matrix.shape[1] != len(channels):
         raise LogError(

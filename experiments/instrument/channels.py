@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from surefoot.calibration.results import Finding
 from surefoot.experiments.force_torque.checks import RAILS
@@ -106,6 +107,11 @@ def find_wrong(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wron
     if recording.kind != "six-axis sensor":
         told = "'time_s'" in recording.refusal
         yield from (one for one in _check_clock(recording) if one.finding.name == "gaps" or not told)
+    yield from find_wrong_channels(recording, facts)
+
+
+def find_wrong_channels(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wrong]:
+    """Yield the flaws of single channels."""
     constant, read = _stuck(recording), np.isfinite(recording.raw)
     nothing = ""
     if len(read) < FEWEST:
@@ -141,7 +147,7 @@ def find_wrong(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wron
             reason = f"'{one.name}' is {value} in all readings from then on, while others move."
             finding = Finding("constant", reason, "Check its cable and its converter.")
             yield _wrong(recording, int(constant[i]), finding)
-        sure = scipy.stats.t.ppf(1.0 - ALARM / 2.0, max(len(one.rests) - 2, 1))
+        sure = stdtrit(max(len(one.rests) - 2, 1), 1.0 - ALARM / 2.0)
         if abs(one.slope) > one.slope_std * sure:
             size = "" if recording.scale is None else f" ({60 * one.slope * recording.scale[i]:+.2g} N)"
             reason = f"Unloaded, column '{one.name}' drifts by {60 * one.slope:+.3g} counts a minute{size}."

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Floats
 from surefoot.calibration import CalibrationRefused
+from surefoot.calibration.front_end.motion import FARTHEST
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.results import Finding, decide
@@ -23,7 +24,6 @@ OF_USE = re.compile(r"(raw|reference|momentum|truth|command|joint|accelerometer|
 MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's filters do not bridge more
 SLOWEST = 1.0  # s between two rows of a log of feet from which on its times are in another unit
 CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # units of time besides seconds, in s
-FARTHEST = 5.0  # distance in m of a robot's centre of mass from its soles that none goes beyond
 LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
 
 

@@ -38,7 +38,7 @@ HARDEST = 3.0
 """Weights that the load of a foot changes by at most: those of runners do by two to three (Nilsson and
 Thorstensson 1989, Acta Physiol. Scand. 136)."""
 
-MOSTLY = 0.4  # share of readings about a moment from which on its contacts are known: of half as many rows
+MOSTLY = 0.4  # share of rows with a reading that is enough: chips at half the rows' rate have about a half
 FLAT = 0.01  # std of a foot's load in weights up to which it may hang in the air
 
 Bools = NDArray[np.bool_]
@@ -100,8 +100,8 @@ def feel_contacts(load: Floats, weight: float, dt: float) -> tuple[Bools, Bools]
     read, near = np.isfinite(load), 2 * round(SURE / dt) + 1
     load = np.where(read, load, 0.0)
     share, mean, square = (uniform_filter1d(read * load**p, near, axis=0, mode="nearest") for p in (0, 1, 2))
-    mean, square = mean / np.maximum(share, 1.0 / near), square / np.maximum(share, 1.0 / near)
-    known = share > MOSTLY  # of single readings that are missing the others around say enough
+    mean, square = np.stack([mean, square]) / np.maximum(share, 1.0 / near)
+    known = share > MOSTLY
     flat = np.sqrt(np.maximum(square - mean**2, 0.0)) < FLAT * weight
     low = np.where(flat & known, mean, np.inf).min(axis=0)
     swing = flat & (np.abs(mean - low) < 2.0 * FLAT * weight) & steps & known

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal, Self, cast
 import numpy as np
 from pydantic import ConfigDict, Field, PlainValidator, model_validator
 
+from surefoot.calibration.front_end.motion import FARTHEST
 from surefoot.calibration.layout import FeetLayout, FootLayout, FootSensor
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.weights.curves import Curves
-from surefoot.experiments.logs.checks import FARTHEST
 from surefoot.experiments.logs.settings import Number, Positive, Settings
 
 _UNITS = {"position_cell_sole": "_m", "mass_below": "_kg", "com_below_sole": "_m"}

@@ -8,7 +8,7 @@ import numpy as np
 from surefoot.calibration import GRAVITY, Estimate, Flag, Parameters
 from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.results import Finding
-from surefoot.experiments.instrument.channels import Wrong, facts_of, find_wrong
+from surefoot.experiments.instrument.channels import Wrong, facts_of, find_wrong_channels
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import MAX_GAP, Log
@@ -89,9 +89,7 @@ def find_broken(log: Log, file: str) -> Iterator[Wrong]:
     names, nowhere = tuple(raw_names_of(log.layout)), np.zeros(log.raw.shape, dtype=bool)
     recording = Recording(file, "walk", names, log.time, log.raw, nowhere)
     timeless = replace(recording, time=np.full(len(log), np.nan))  # noise and drift need no look
-    for one in find_wrong(recording, facts_of(timeless)):
-        if one.finding.refuses and one.finding.name != "gaps":
-            yield one
+    yield from (one for one in find_wrong_channels(recording, facts_of(timeless)) if one.finding.refuses)
 
 
 def _clock_notices(log: Log) -> Iterator[str]:
