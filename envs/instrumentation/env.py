@@ -16,9 +16,10 @@ from surefoot.envs.instrumentation.feet import check_names
 from surefoot.envs.instrumentation.made import Made, make
 from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.envs.instrumentation.reader import FeetReader, SensorReader
+from surefoot.envs.instrumentation.replaced import ReplacedModel
 from surefoot.envs.instrumentation.spec import Instrumentation, refuse_taken
 from surefoot.envs.instrumentation.swap import find_description, find_holder, put_in, swap_in
-from surefoot.envs.instrumentation.trial import find_notice
+from surefoot.envs.instrumentation.trial import find_notice, measure_duration
 
 
 class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -113,13 +114,15 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         unknown = "there is no description of it: give InstrumentedEnv a 'spec'"
         self.untouched = "dm_control's physics holds it" if foreign else unknown
         self.instrumentation: Instrumentation | None = None
-        samples = count_substeps(base)
+        holder = "" if foreign else find_holder(env)
+        self._replaced: ReplacedModel | None = None
+        samples = self._substeps = _count_substeps(base, may_copy=not (foreign or holder))
         if in_place is False:
             self.untouched = "in_place=False"
         elif description is not None:
             boxes = not (getattr(env, "render_mode", None) if visuals is None else visuals)
             made = make(description, base.model, feet, soles=soles, boxes=boxes, samples=samples, **given)
-            self._instrument(made, named=spec is not None, forced=bool(soles or in_place))
+            self._instrument(made, holder, prefix, named=spec is not None, forced=bool(soles or in_place))
         self._reader: SensorReader | FeetReader
         if self.instrumentation is not None:
             self._reader = SensorReader(base.model, base.data, self.instrumentation, samples)
@@ -135,12 +138,15 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.truth = self._reader.now()
         self._mean_truth = MeanTruth(self.truth.layout)
         self.tells = True
+        self._warned = False
 
-    def _instrument(self, made: Made, *, named: bool, forced: bool) -> None:
-        """Put a model with sensors into the environment, or say in ``untouched`` why it was left alone."""
+    def _instrument(self, made: Made, holder: str, prefix: str, *, named: bool, forced: bool) -> None:
+        """Put a model with sensors into the environment, or report in ``untouched`` why it is left alone.
+
+        ``holder`` is the attribute, if any, through which the environment refers to its present model.
+        """
         if made.different and (named or forced):
             raise ValueError(f"The description is not that of the environment's robot: {made.different}.")
-        holder = find_holder(self.env)
         if holder and forced:
             raise ValueError(f"The environment's model cannot be replaced: {_find_view_of_model(holder)}.")
         if made.model is None:
@@ -152,10 +158,12 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             self.instrumentation = None if self.untouched else made.instrumentation
             chosen = made.boxed if self.untouched else made.model
             if chosen is not None:
+                replaced = ReplacedModel(self._base.model, prefix)
                 swap_in(self._base, copy(chosen))
+                self._replaced = replaced if replaced.follow() else None
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_rng": self.unwrapped._np_random}
+        return vars(self) | {"_rng": self.unwrapped._np_random, "_replaced": None}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         rng = kept.pop("_rng")
@@ -183,7 +191,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     @property
     def dt(self) -> float:
         """Duration of a step in s."""
-        return step_duration(self._base)
+        return self._substeps * float(self._base.model.opt.timestep)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -191,44 +199,86 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         """Start an episode, and read the state in which it starts.
 
         Raises:
-            RuntimeError: If the environment made itself another model.
+            RuntimeError: If the environment has made another model, or has changed one that it no longer uses.
         """
+        self._carry_over()
         with self._reader.still():
             observation, info = self.env.reset(seed=seed, options=options)
-        self._refuse_another()
+        self._check_model()
         self.truth = self._reader.now()
         return observation, self._with_truth(info)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment, and read the truth."""
+        if self._replaced is not None:
+            self._carry_over()
+        start = self._data.time
         observation, reward, terminated, truncated, info = self.env.step(action)
-        if self._base.data is not self._data:
-            self._refuse_another()
+        if self._replaced is not None or self._base.data is not self._data:
+            self._check_model()
         self.truth = self._reader.after_step()
+        passed = (self._data.time - start) / self._model.opt.timestep
+        if passed > self._substeps + 0.5 and not (self._warned or self.seldom):
+            self._warn_of_longer_step(round(passed))
         return observation, reward, terminated, truncated, self._with_truth(info)
 
     def _with_truth(self, info: dict[str, Any]) -> dict[str, Any]:
         told = {"truth": self._mean_truth(self.truth.rows)} if self.tells else None
         return info if told is None else {**info, "surefoot": told}
 
-    def _refuse_another(self) -> None:
-        """Raise RuntimeError if the robot that is watched is not simulated any more."""
-        if self._base.model is not self._model or self._base.data is not self._data:
+    def _carry_over(self) -> None:
+        """Copy to the simulated model what a script has changed in the one that it replaced."""
+        if self._replaced is not None:
+            self._replaced.carry_over(self._model)
+
+    def _check_model(self) -> None:
+        """Follow the environment to other data; raise RuntimeError if it uses or changes another model."""
+        base, name = self._base, type(self._base).__name__
+        if base.model is not self._model or getattr(base.data, "model", self._model) is not self._model:
             raise RuntimeError(
-                f"{type(self._base).__name__} made itself another model or data at a reset, so that its feet "
-                "are not watched any more; wrap it anew, or let it change its model's numbers instead."
+                f"{name} has made another model at a reset, so that its feet are not measured any more; let it "
+                "change the numbers of its model instead, or wrap it again after each reset."
+            )
+        if base.data is not self._data:
+            self._data = base.data
+            if not isinstance(base, _Physics):
+                put_in(base, self._model, self._data)  # in its renderer
+            self._reader.watch(self._data)
+        if self._replaced is not None and (changed := list(self._replaced.changes())):
+            raise RuntimeError(
+                f"{name} has changed {changed} of the model with which it was made. Sensors were put into a "
+                "copy, which is simulated, so the change has no effect. Leave its model alone, "
+                "InstrumentedEnv(env, in_place=False), or let it change its attribute 'model'."
             )
 
+    def _warn_of_longer_step(self, passed: int) -> None:
+        """Warn once that a step has more physics steps than are read."""
+        self._warned = True
+        warnings.warn(
+            f"A step of {self.env} took {passed} physics steps, and {self._substeps} were expected: the truth "
+            "covers the last of them only. Put wrappers that repeat steps around InstrumentedEnv.",
+            stacklevel=3,
+        )
 
-def step_duration(base: Any) -> float:
-    """Return how long a control step of an innermost environment lasts in s."""
-    skipped: float = getattr(base, "frame_skip", 1)
-    return float(base.dt if hasattr(base, "dt") else base.model.opt.timestep * skipped)
+
+def _count_substeps(base: Any, may_copy: bool) -> int:
+    """Count the physics steps in a control step of an innermost environment.
+
+    Where the attributes ``dt`` and ``frame_skip`` do not confirm each other, a copy is stepped and its clock
+    is read: many environments have the duration of a physics step as ``dt``, and some have neither. Without a
+    copy ``dt`` is the control step, unless it equals the physics step.
+    """
+    timestep = float(base.model.opt.timestep)
+    skip, dt = (_number(getattr(base, name, None)) for name in ("frame_skip", "dt"))
+    of_dt = round(dt / timestep)
+    if of_dt != skip and may_copy and (passed := round(measure_duration(base) / timestep)) > 0:
+        return passed
+    return max(of_dt if of_dt > 1 else round(skip), 1)
 
 
-def count_substeps(base: Any) -> int:
-    """Count the simulation's steps in a control step of an innermost environment."""
-    return max(1, round(step_duration(base) / float(base.model.opt.timestep)))
+def _number(value: Any) -> float:
+    """Return an attribute as a finite number, 0 if it is not one."""
+    return float(value) if isinstance(value, int | float | np.number) and np.isfinite(value) else 0.0
 
 
 def _warn_of_aliasing(env: Any, reason: str, substeps: int) -> str:

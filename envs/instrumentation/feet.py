@@ -16,15 +16,16 @@ STANDING: Final = ("home", "stand", "standing")
 """Names of keyframes in which a robot stands; the first that a model has is taken, else its zero pose."""
 
 SAME_HEIGHT: Final = 0.1
-"""Two leaves are both feet if their lowest points differ by less than this share of the torso's height."""
+"""Two leaves are both feet if their lowest points differ by less than this share of the height of the robot's
+centre of mass above them."""
 
 BEARS: Final = 0.015
-"""A body above a leaf is of the same foot if it reaches as low, to this share of the torso's height: 1.4 cm
-on a person. A shank that ends in a ball around its ankle stays 2 cm off the ground."""
+"""A body above a leaf belongs to the same foot if it reaches as low, to this share of the height of the centre
+of mass: 1.4 cm on a person. A shank that ends in a ball around its ankle stays 2 cm off the ground."""
 
 SHORT: Final = 0.5
-"""Greatest distance of a foot's bodies, a share of the torso's height: of a robot that lies, all bodies are
-on the ground."""
+"""Greatest distance between the bodies of a foot, as a share of the height of the centre of mass. All bodies
+of a robot that lies are on the ground."""
 
 SETTLING: Final = 0.15
 """Time in s in which a robot that is put on the ground comes to rest; its load is averaged as long again."""
@@ -36,7 +37,7 @@ LEAST_SHARE_ON_FEET: Final = 0.95
 """Least share of the weight that guessed feet must carry: what lacks is half of what a toe or heel bears."""
 
 UPRIGHT: Final = 0.5
-"""Least height of the torso above the feet as a share of its distance from them, of a robot that stands."""
+"""Least height of the centre of mass above the feet of a standing robot, as a share of its distance from them."""
 
 
 def standing_pose(model: mujoco.MjModel) -> mujoco.MjData:
@@ -84,12 +85,13 @@ def find_feet(
     if len({int(model.body_rootid[foot]) for foot in feet}) > 1:
         raise ValueError(f"The feet {list(names)!r} belong to different robots: instrument one at a time.")
     root = int(model.body_rootid[feet[0]])
-    to_torso = data.xpos[root] - data.xpos[list(feet)].mean(axis=0)
-    if root not in feet and to_torso[2] < UPRIGHT * np.linalg.norm(to_torso):
+    # The origin of the floating body may be anywhere, for instance on the ground between the feet.
+    to_com = data.subtree_com[root] - data.xpos[list(feet)].mean(axis=0)
+    if root not in feet and to_com[2] < UPRIGHT * np.linalg.norm(to_com):
         raise ValueError(
             f"The soles of {list(names)!r} cannot be measured, as the robot does not stand on them in its "
-            f"{pose_name(model)}: '{model.body(root).name}' is {to_torso[2]:.2f} m above them and "
-            f"{np.linalg.norm(to_torso[:2]):.2f} m beside. {_KEYFRAME}"
+            f"{pose_name(model)}: its centre of mass is {to_com[2]:.2f} m above them and "
+            f"{np.linalg.norm(to_com[:2]):.2f} m to the side. {_KEYFRAME}"
         )
     return feet
 
@@ -114,9 +116,9 @@ def _guess(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
     why = "none of them can touch anything (contype, conaffinity and contact pairs)."
     if feet:
         lowest = np.array([height[below(model, body)].min() for body in feet])
-        torso = data.xpos[model.body_rootid[feet[int(np.argmin(lowest))]]][2]
-        # A leaf that is the whole robot, such as a ball, is no foot.
-        near = SAME_HEIGHT * max(float(torso - lowest.min()), 1e-3)
+        com = data.subtree_com[model.body_rootid[feet[int(np.argmin(lowest))]]][2]
+        # A leaf that is the whole robot, such as a ball, is not a foot.
+        near = SAME_HEIGHT * max(float(com - lowest.min()), 1e-3)
         low = lowest < lowest.min() + near
         pair = [body for body, is_low in zip(feet, low, strict=True) if is_low and model.body_parentid[body]]
         ordered = _order_left_right(model, data, pair) if len(pair) == 2 else ()
@@ -140,16 +142,18 @@ def _candidates(model: mujoco.MjModel, data: mujoco.MjData, height: Floats) -> l
     feet = set()
     for leaf in np.flatnonzero(touching[1:]) + 1:
         root, hanging = int(model.body_rootid[leaf]), below(model, int(leaf))
+        # The torso is the floating body with all bodies welded to it, as URDF converters leave them.
+        torso = model.body_weldid == model.body_weldid[root]
         # A torso is no foot where nothing else can touch.
         if (touching & hanging).sum() > 1 or (leaf == root and hanging.sum() > 1):
             continue
-        tall = max(float(data.xpos[root][2] - height[leaf]), 0.0)
+        tall = max(float(data.subtree_com[root][2] - height[leaf]), 0.0)
         foot = body = int(leaf)
-        while (body := int(model.body_parentid[body])) not in (0, root):
+        while not torso[body] and not torso[body := int(model.body_parentid[body])]:
             near = np.linalg.norm(data.xpos[body] - data.xpos[leaf]) < SHORT * tall
             if near and height[body] < height[leaf] + BEARS * tall:
                 foot = body
-        while foot and model.body_jntnum[foot] == 0 and not touching[model.body_parentid[foot]]:
+        while not torso[foot] and model.body_jntnum[foot] == 0 and not touching[model.body_parentid[foot]]:
             foot = int(model.body_parentid[foot])
         if foot:
             feet.add(foot)

@@ -34,9 +34,8 @@ class SensorReader:
     ) -> None:
         columns = instrumentation.columns(model)
         first = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, instrumentation.first_sensor)
-        self._model, self._data, self._layout = model, data, instrumentation.layout.rows
+        self._model, self._layout, self._columns = model, instrumentation.layout.rows, columns
         self._instrumentation, self._samples = instrumentation, samples
-        self._sensed = data.sensordata[columns]
         self._scratch = mujoco.MjData(model)
         self._scratch_row = self._scratch.sensordata[columns]
         self._state = np.empty(mujoco.mj_stateSize(model, _STATE))
@@ -49,8 +48,14 @@ class SensorReader:
         spin = model.jnt_dofadr[joint] + 3 if free else 0
         self._spin = slice(spin, spin + 3) if free else None
         if samples > 1:
-            self._cursor = data.history[model.sensor_historyadr[first] + 1 :][:1]
             self._places = self._places_in_ring(first)
+        self.watch(data)
+
+    def watch(self, data: mujoco.MjData) -> None:
+        """Read another simulation of the model from now on."""
+        self._data, self._sensed = data, data.sensordata[self._columns]
+        if self._samples > 1:
+            self._cursor = data.history[self._model.sensor_historyadr[self._first] + 1 :][:1]
         self._read_until = data.time
 
     def _places_in_ring(self, first: int) -> NDArray[np.intp]:
@@ -169,6 +174,10 @@ class FeetReader:
         self._imu = (mujoco.mjtObj.mjOBJ_XBODY, self._torso)
         if imu:
             self._imu = (mujoco.mjtObj.mjOBJ_SITE, model.site(imu).id)
+
+    def watch(self, data: mujoco.MjData) -> None:
+        """Read another simulation of the model from now on."""
+        self._watched = data
 
     def after_step(self) -> FeetTruth:
         """Read the state at the end of a step, shape (1, ...)."""

@@ -1,9 +1,11 @@
 """How an instrumented model takes the place of the one that an environment made."""
 
+import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
+from types import FrameType, FunctionType, ModuleType, TracebackType
 from typing import Any, Final
 
 import gymnasium as gym
@@ -66,6 +68,12 @@ _NAMED: Final = {
 _VIEWS: Final = ("MjOption", "MjVisual", "MjStatistic", "_MjContactList", "MjContact")
 """MuJoCo's types that point into a model or its data, besides those whose name ends in Views."""
 
+_CLOSED: Final = (type, ModuleType, FrameType, TracebackType, gym.Space, str, bytes, int, float)
+"""Types of objects that are not searched for references: they have none, or lead to the whole program."""
+
+_MOST_OBJECTS: Final = 20_000
+"""Number of objects of an environment that are searched at most, in some 20 ms; usual ones have a hundred."""
+
 
 def find_description(spec: str | Path | mujoco.MjSpec | None, env: Any) -> Path | mujoco.MjSpec | None:
     """Return the description of an innermost environment's robot: the user's, or its file; None without."""
@@ -86,7 +94,7 @@ def find_difference(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> st
         # Added descriptions name what had no name.
         if len(ours) != len(theirs) or any(a not in (None, b) for a, b in zip(ours, theirs, strict=True)):
             return f"its {name} are {theirs}, the environment's {ours}"
-    kept = _original_ids(new, prefix)
+    kept = original_ids(new, prefix)
     for name in _STRUCTURE:
         own, other = getattr(old, name), _rows(new, name, kept)
         if not np.array_equal(own, other):
@@ -102,28 +110,43 @@ def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
     The other is the same robot, to which sites, sensors and geoms with names of ``prefix`` may have been
     added.
     """
-    kept = _original_ids(new, prefix)
-    for name, value in _public(old):
-        if not isinstance(value, np.ndarray) or name.startswith(_DERIVED):
-            continue
-        if value.dtype.kind == "f" or name in _FLAGS:
-            target = getattr(new, name)
-            rows = kept.get(name.split("_")[0])
-            if rows is not None and len(value) == len(rows):
-                target[rows] = value
-            elif target.shape == value.shape:
-                target[...] = value
+    kept = original_ids(new, prefix)
+    for name, value in carried(old):
+        put_array(new, name, value, kept)
     for key in range(min(old.nkey, new.nkey)):
         # A description may add a keyframe in which the robot stands.
         if old.key(key).name == new.key(key).name:
             for name in ("key_qpos", "key_qvel", "key_ctrl"):
                 getattr(new, name)[key] = getattr(old, name)[key]
-    for ours, theirs in zip(_options(old), _options(new), strict=True):
-        for name, value in _public(ours):
+    for ours, theirs in zip(options(old), options(new), strict=True):
+        for name, value in public(ours):
             if isinstance(value, np.ndarray):
                 getattr(theirs, name)[...] = value
             elif isinstance(value, int | float):
                 setattr(theirs, name, value)
+
+
+def carried(model: mujoco.MjModel) -> Iterator[tuple[str, NDArray[Any]]]:
+    """List the arrays of a model that an environment may change, by their names."""
+    for name, value in public(model):
+        if (
+            isinstance(value, np.ndarray)
+            and not name.startswith(_DERIVED)
+            and (value.dtype.kind == "f" or name in _FLAGS)
+        ):
+            yield name, value
+
+
+def put_array(
+    new: mujoco.MjModel, name: str, value: NDArray[Any], kept: dict[str, NDArray[np.intp]]
+) -> None:
+    """Copy an array of a robot to the same robot with added parts, where ``kept`` are the original ones."""
+    target = getattr(new, name)
+    rows = kept.get(name.split("_")[0])
+    if rows is not None and len(value) == len(rows):
+        target[rows] = value
+    elif target.shape == value.shape:
+        target[...] = value
 
 
 def differing_array(old: mujoco.MjModel, new: mujoco.MjModel) -> str:
@@ -131,7 +154,7 @@ def differing_array(old: mujoco.MjModel, new: mujoco.MjModel) -> str:
 
     All numbers were carried over before.
     """
-    for name, value in _public(old):
+    for name, value in public(old):
         if isinstance(value, np.ndarray) and not name.startswith(_DRAWN):
             other = getattr(new, name)
             if not np.array_equal(value, other, equal_nan=value.dtype.kind == "f"):
@@ -161,7 +184,7 @@ def find_holder(env: gym.Env[Any, Any]) -> str:
     seen = {id(layer) for layer in layers} | {id(getattr(base, name, None)) for name in usual}
     for layer in layers:
         for name, value in vars(layer).items():
-            if not (layer is base and name in usual) and _points(value, old, seen, depth=3):
+            if not (layer is base and name in usual) and _reaches(value, old, seen):
                 return f"{type(layer).__name__}.{name}"
     return ""
 
@@ -177,7 +200,7 @@ def swap_in(env: Any, new: mujoco.MjModel) -> None:
     mujoco.mj_setState(new, data, state, kind)
     data.history[: before.history.size] = before.history
     # What was derived from the state goes along: some environments look at it before they step.
-    for name, value in _public(before):
+    for name, value in public(before):
         if isinstance(value, np.ndarray) and value.size:
             target = getattr(data, name)
             if target.shape == value.shape:
@@ -206,7 +229,7 @@ def put_in(env: Any, model: mujoco.MjModel, data: mujoco.MjData) -> None:
             holder.model, holder.data = model, data
 
 
-def _original_ids(model: mujoco.MjModel, prefix: str) -> dict[str, NDArray[np.intp]]:
+def original_ids(model: mujoco.MjModel, prefix: str) -> dict[str, NDArray[np.intp]]:
     """Number the geoms and sites that were not added."""
     kinds = {"geom": (mujoco.mjtObj.mjOBJ_GEOM, model.ngeom), "site": (mujoco.mjtObj.mjOBJ_SITE, model.nsite)}
     return {
@@ -224,41 +247,55 @@ def _rows(model: mujoco.MjModel, name: str, kept: dict[str, NDArray[np.intp]]) -
     return value if rows is None else value[rows]
 
 
-def _public(part: Any) -> Iterator[tuple[str, Any]]:
+def public(part: Any) -> Iterator[tuple[str, Any]]:
     """List the fields of a structure of MuJoCo, by their names."""
     for name in dir(part):
         if name[0] != "_":
             yield name, getattr(part, name)
 
 
-def _options(model: mujoco.MjModel) -> list[Any]:
+def options(model: mujoco.MjModel) -> list[Any]:
     """List the structures of numbers that are no arrays of a model."""
     parts = ("global_", "quality", "headlight", "map", "scale", "rgba")
     return [model.opt, model.stat, *(getattr(model.vis, part) for part in parts)]
 
 
-def _points(value: Any, old: tuple[Any, Any], seen: set[int], depth: int) -> bool:
-    """Return whether an object is, or holds, a view of a model or its data."""
-    if any(value is part for part in old):
-        return True
-    if isinstance(value, np.ndarray):
-        root: Any = value
-        while isinstance(root, np.ndarray) and root.base is not None:
-            root = root.base
-        return type(root).__name__ == "PyCapsule"
-    kind = type(value).__name__
-    if type(value).__module__.startswith("mujoco"):
-        return kind.endswith("Views") or kind in _VIEWS
-    if depth == 0 or id(value) in seen or isinstance(value, type | gym.Space):
-        return False
-    seen.add(id(value))
-    return any(_points(part, old, seen, depth - 1) for part in _parts(value))
+def _reaches(value: Any, old: tuple[Any, Any], seen: set[int]) -> bool:
+    """Return whether an object is, or leads to, a model or its data, or a view of them."""
+    found = [value]
+    while found and len(seen) < _MOST_OBJECTS:
+        value = found.pop()
+        if any(value is part for part in old):
+            return True
+        kind = type(value).__name__
+        if isinstance(value, np.ndarray):
+            if _is_view(value, old):
+                return True
+        elif type(value).__module__.startswith("mujoco"):
+            if kind.endswith("Views") or kind in _VIEWS:
+                return True
+        elif id(value) not in seen and not isinstance(value, _CLOSED):
+            seen.add(id(value))
+            found += _parts(value)
+    return False
 
 
-def _parts(value: Any) -> Iterator[Any]:
-    if isinstance(value, dict):
-        yield from value.values()
-    elif isinstance(value, list | tuple | set):
-        yield from value
-    else:
-        yield from getattr(value, "__dict__", {}).values()
+def _is_view(array: NDArray[Any], old: tuple[Any, Any]) -> bool:
+    """Return whether an array shares the memory of a model or its data."""
+    root: Any = array
+    while isinstance(root, np.ndarray) and root.base is not None:
+        root = root.base
+    # Only arrays of MuJoCo and of other libraries in C have such a base.
+    return type(root).__name__ == "PyCapsule" and any(
+        np.may_share_memory(array, part)
+        for holder in old
+        for _, part in public(holder)
+        if isinstance(part, np.ndarray)
+    )
+
+
+def _parts(value: Any) -> list[Any]:
+    """List the objects that an object refers to; of a function those in its closure and its defaults."""
+    if isinstance(value, FunctionType):
+        return [value.__closure__, value.__defaults__, value.__kwdefaults__]
+    return gc.get_referents(value)

@@ -1,7 +1,8 @@
-"""Whether an environment would notice sensors in its model: copies are stepped with and without them."""
+"""Trials on copies of an environment: how long a step takes, and whether sensors in its model would be noticed."""
 
 import random
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from copy import copy, deepcopy
 from typing import Any, Final
 
@@ -22,27 +23,50 @@ Shown = list[tuple[Any, ...]]
 """What an episode shows: observation and info of the reset, then what each step returns."""
 
 
+def measure_duration(env: gym.Env[Any, Any]) -> float:
+    """Return how much simulated time in s a step of an environment's copy takes; 0 if it cannot be stepped."""
+    try:
+        with _own_randomness():
+            tried = _copy(env)
+            tried.reset(seed=SEED)
+            tried.action_space.seed(SEED)
+            start = float(tried.unwrapped.data.time)
+            tried.step(tried.action_space.sample())
+            return float(tried.unwrapped.data.time) - start
+    except Exception:
+        # A user's environment may raise anything on its copy.
+        return 0.0
+
+
 def find_notice(env: gym.Env[Any, Any], model: mujoco.MjModel) -> str:
     """Return how an environment would notice another model in the place of its own; empty if it would not.
 
     Two copies with all wrappers take the same steps, one of them with the new model. Observations, rewards,
-    ends and numbers in ``info`` must be equal to the last bit. Nothing of the environment changes, nor do the
-    global random numbers of Python and NumPy. Attributes that cannot be copied, such as a network's session,
-    are shared.
+    ends and numbers in ``info`` must be equal to the last bit. Neither the environment nor the global random
+    states of Python and NumPy change. Attributes that cannot be copied, such as a network's session, are
+    shared.
     """
+    try:
+        with _own_randomness():
+            shown = _play(env, None)
+            different = _difference(shown, _play(env, model))
+            if different and _difference(shown, _play(env, None)):
+                return "it is not the same twice, so that nobody can tell whether it would notice"
+    except Exception as error:
+        # A user's environment may raise anything on its copy. Its model is then left alone.
+        return f"a copy of it could not be stepped ({type(error).__name__}: {error})"
+    return f"with sensors in its model its {different}" if different else ""
+
+
+@contextmanager
+def _own_randomness() -> Iterator[None]:
+    """Restore the global random states of Python and NumPy afterwards."""
     state, python_state = np.random.get_state(), random.getstate()  # noqa: NPY002
     try:
-        shown = _play(env, None)
-        different = _difference(shown, _play(env, model))
-        if different and _difference(shown, _play(env, None)):
-            return "it is not the same twice, so that nobody can tell whether it would notice"
-    except Exception as error:
-        # Whatever a stranger's environment raises on its copy: it stays as it is.
-        return f"a copy of it could not be stepped ({type(error).__name__}: {error})"
+        yield
     finally:
         np.random.set_state(state)  # noqa: NPY002
         random.setstate(python_state)
-    return f"with sensors in its model its {different}" if different else ""
 
 
 def _play(env: gym.Env[Any, Any], model: mujoco.MjModel | None) -> Shown:

@@ -1,6 +1,7 @@
 """Sensors around any MuJoCo environment: its episodes stay what they are, and the truth is beside them."""
 
 import pickle
+from contextlib import nullcontext
 from copy import deepcopy
 
 import gymnasium as gym
@@ -291,7 +292,9 @@ def test_a_step_of_another_length_is_read_as_far_as_it_is_known(path, substeps):
     env.reset()
     env.step(None)
     before, base.frame_skip = env.data.time, substeps
-    env.step(None)
+    more = r"took 8 physics steps, and 5 were expected: the truth covers the last of them only"
+    with pytest.warns(UserWarning, match=more) if substeps > 5 else nullcontext():
+        env.step(None)
     times = env.truth.time
     assert len(times) == 5
     assert times[-1] == pytest.approx(env.data.time - 0.002)
