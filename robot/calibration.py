@@ -3,6 +3,7 @@
 Wrappers of one robot and of many are made of it.
 """
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -130,6 +131,8 @@ class CalibrationSetup:
         self.options = usual | layout_options(self.layout, drawing) | options
         self.touching, self.by_momentum = Touching.of(drawing), method_entry(self.method).momentum
         self._nominal = NominalModel.of_drawing(drawing, self.errors)
+        if drawing.caveat:
+            warnings.warn(drawing.caveat, stacklevel=3)
         self.mass = self._nominal.mass
         # Calibrators are made at resets; one now refuses bad options before the first step.
         self.calibrator(self.mass, self.start.known, 1.0 / 80.0, lag or 0)
@@ -190,7 +193,8 @@ class RobotCalibration(OfOneVersion):
         """Warn, before a reset, if nothing was learnt for long; return whether that was done."""
         if not self.made or self.frozen or self._setup.method == "none":
             return False
-        return self._chances.judge(self._map_has_moved(), self._sensors.telemetry.dt)
+        needs_swing = self._setup.method == "tare"
+        return self._chances.judge(self._map_has_moved(), self._sensors.telemetry.dt, needs_swing)
 
     def reset(self, seed: int | None = None, choice: str | None = None) -> bool:
         """Start an episode, after the sensors did; results are kept, or calibration starts fresh.
@@ -313,7 +317,7 @@ class RobotCalibration(OfOneVersion):
             "initial.offset": (-least, least),
             "masses.mass": (mass / most, mass * most),
             "masses.inertia": (inertia / most, inertia * most),
-            "masses.com_torso": (-reach, reach),
+            "masses.com": (-reach, reach),
         }
 
     def notes(self) -> dict[str, str]:

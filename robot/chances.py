@@ -41,10 +41,10 @@ class Chances:
         run = run + 1 if upright and standing else 0
         self.counts[:] = waiting, samples + 1, before + upright, stood + (run > 0), run, max(run, longest)
 
-    def judge(self, learnt: bool, dt: float) -> bool:
+    def judge(self, learnt: bool, dt: float, needs_swing: bool = False) -> bool:
         """Warn, once and not before :data:`PATIENCE`, if nothing was learnt; return whether that was done.
 
-        Samples are ``dt`` s apart.
+        Samples are ``dt`` s apart. A method that ``needs_swing`` learns from feet in the air alone.
         """
         _, samples, upright, standing, _, longest = self.counts.tolist()
         if self._warned or (not learnt and samples * dt < PATIENCE):
@@ -53,6 +53,14 @@ class Chances:
         if learnt:
             return False
         upright, standing = (round(100 * part / samples) for part in (upright, standing))
+        if needs_swing and standing >= 50:
+            warnings.warn(
+                f"SelfCalibration has learnt nothing in {samples * dt:.0f} s, and readings stay at the starting "
+                "map: 'tare' learns the offsets of a foot while it is in the air, and the robot only stood. Lift "
+                "each foot once, or use 'moment', which learns while the robot stands.",
+                stacklevel=4,
+            )
+            return True
         warnings.warn(
             f"SelfCalibration has learnt nothing in {samples * dt:.0f} s, and readings stay at the "
             f"starting map: the robot was sure of its motion (upright, no blows) in {upright} % of the "

@@ -23,6 +23,7 @@ from surefoot.wrappers.source import (
     check_clock,
     check_order,
     find_source,
+    refuse_second,
     split_options,
     warning_of_true_forces,
     with_source,
@@ -97,6 +98,7 @@ class FootSensors(
     ) -> None:
         check_flag("measure_state", measure_state)
         given = equip(config, **options)
+        refuse_second("FootSensors", env)
         # Where the sensors are is recorded by InstrumentedEnv, which a spec brings back first.
         gym.utils.RecordConstructorArgs.__init__(self, measure_state=measure_state, **given.options)
         gym.Wrapper.__init__(self, with_source(env, feet=feet, cells=cells, soles=soles))
@@ -113,8 +115,7 @@ class FootSensors(
         shown: Any = self.env.observation_space
         if "foot_raw" in getattr(shown, "spaces", ()):
             raise TypeError(
-                "FootSensors found 'foot_raw' among the observations: it is the first wrapper around an "
-                f"environment that it reads, and one is enough; got {self.env}."
+                f"FootSensors adds 'foot_raw' to the observation, which has a part of that name already: {env}."
             )
         layout = getattr(source, "state_layout", None) if measure_state else None
         self._view = RawView(shown, self.instruments.space, layout, equipment.packet)

@@ -9,6 +9,7 @@ from gymnasium import ObservationWrapper, spaces
 from gymnasium.wrappers import FilterObservation
 
 from surefoot.envs import InstrumentedEnv, RobotDrawing
+from surefoot.robot.sensing.sensors import SensorsFace
 
 OPTIONS = "surefoot"
 """Key of a reset's options that is meant for wrappers, and is not handed to the environment."""
@@ -78,6 +79,20 @@ def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -
         f"{mine} calibrates the counts of {theirs} and found none below it; wrap in this order: "
         f"{mine}({theirs}(env)). Got {env}."
     )
+
+
+def refuse_second(owner: str, env: Any) -> None:
+    """Raise TypeError if a wrapper of sensors is among the wrappers below another one."""
+    below: Any = env
+    while below is not None:
+        if isinstance(below, SensorsFace):
+            found = type(below).__name__
+            raise TypeError(
+                f"{owner} found {found} below it, and a robot's feet are read once; leave the outer one out, "
+                f"or put a calibrator around what is there. Got {env}."
+            )
+        parts = getattr(below, "__dict__", {})
+        below = parts.get("env", parts.get("venv"))
 
 
 def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:

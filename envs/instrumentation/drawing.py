@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import mujoco
@@ -13,6 +13,8 @@ from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.geometry import below
 from surefoot.envs.instrumentation.robot import MeasuredRobot, joint_name
 from surefoot.envs.robots.nao import FEET, cell_positions, hinge_joint_names, nao_model
+
+WEIGHTLESS: Final = 1e-9  # share of a body's mass that is left of one whose weight is compensated, above zero
 
 Placed = tuple[str, Floats, Floats]  # a site's body, its place there in m and its quaternion
 
@@ -54,6 +56,7 @@ class RobotDrawing:
         below_ankle: The mass below the sensors at the ankles.
         touching: The parts of each foot that may touch: centres in the sole's frame and radii in m, 0 of a
             point, shape (F, n, 4). Of a foot with an area these are its cells' places.
+        caveat: Why references that follow from the skeleton are not exact, or empty.
     """
 
     xml: str
@@ -68,10 +71,11 @@ class RobotDrawing:
     below_cells: BelowSensor | None
     below_ankle: BelowSensor
     touching: Floats
+    caveat: str = ""
 
     @functools.cached_property
     def weight(self) -> float:
-        """Weight of all that hangs on the torso in its world in N."""
+        """Weight in N of all that hangs on the torso, less what ``gravcomp`` carries."""
         model = self.spec().compile()
         return self.gravity * float(model.body_subtreemass[model.body(self.torso).id])
 
@@ -154,6 +158,7 @@ def draw_robot(
         below_cells=plates if has_cells else None,
         below_ankle=BelowSensor(np.array(arms), np.array(rotations), np.array(masses), np.array(coms)),
         touching=_touching(layout),
+        caveat=_gravcomp_caveat(model, model.body(layout.torso).id),
     )
 
 
@@ -170,10 +175,12 @@ def _touching(layout: MeasuredRobot) -> Floats:
 def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> str:
     """Write the bodies that hang on a torso as MJCF: inertials, joints and some sites, with all digits.
 
-    The joints that carry the torso are replaced by a free one.
+    The joints that carry the torso are replaced by a free one. Masses are less by the share that ``gravcomp``
+    carries.
     """
     root = model.body(torso).id
     inside = below(model, root)
+    heavy = np.maximum(model.body_mass * (1.0 - model.body_gravcomp), WEIGHTLESS * model.body_mass)
     names = {int(body): model.body(body).name for body in np.flatnonzero(inside)}
 
     def lines(body: int, indent: str) -> Iterable[str]:
@@ -184,7 +191,7 @@ def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> 
             inertial = _attributes(
                 pos=model.body_ipos[body],
                 quat=model.body_iquat[body],
-                mass=model.body_mass[body],
+                mass=heavy[body],
                 diaginertia=_physical(model.body_inertia[body]),
             )
             yield f"{deeper}<inertial{inertial}/>"
@@ -205,6 +212,21 @@ def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> 
     gravity = _attributes(gravity=model.opt.gravity)
     head = f'<mujoco>\n  <compiler angle="radian" inertiafromgeom="false"/>\n  <option{gravity}/>\n'
     return head + "  <worldbody>\n" + "\n".join(lines(root, "    ")) + "\n  </worldbody>\n</mujoco>\n"
+
+
+def _gravcomp_caveat(model: mujoco.MjModel, root: int) -> str:
+    """Return what gravity compensation changes for the references of a robot; empty without it."""
+    carried = model.body_gravcomp * model.body_mass * below(model, root)
+    if not carried.any():
+        return ""
+    gravity = float(np.linalg.norm(model.opt.gravity))
+    bodies = [model.body(int(body)).name for body in np.flatnonzero(carried)]
+    return (
+        f"'gravcomp' of the bodies {bodies} carries {gravity * carried.sum():.1f} N of the robot's weight of "
+        f"{gravity * model.body_subtreemass[root]:.1f} N from outside, which no foot feels. The robot believes "
+        "that these bodies are as much lighter, and references miss a part of their inertia. Let motors hold "
+        "them up instead, as on a real robot."
+    )
 
 
 def _joint(model: mujoco.MjModel, joint: int) -> str:

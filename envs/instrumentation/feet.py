@@ -86,7 +86,11 @@ def find_feet(
         raise ValueError(f"The feet {list(names)!r} belong to different robots: instrument one at a time.")
     root = int(model.body_rootid[feet[0]])
     # The origin of the floating body may be anywhere, for instance on the ground between the feet.
-    to_com = data.subtree_com[root] - data.xpos[list(feet)].mean(axis=0)
+    soles = data.xpos[list(feet)].mean(axis=0)
+    soles[2] = min(
+        soles[2], lowest_points(model, data)[np.any([below(model, foot) for foot in feet], axis=0)].min()
+    )
+    to_com = data.subtree_com[root] - soles
     if root not in feet and to_com[2] < UPRIGHT * np.linalg.norm(to_com):
         raise ValueError(
             f"The soles of {list(names)!r} cannot be measured, as the robot does not stand on them in its "

@@ -43,6 +43,10 @@ TORSO: Final = {
 
 TORSO_WIDTH: Final = 27
 
+LEAST_WEIGHT: Final = (
+    0.1  # share of its weight that a robot with gravity compensation puts on its feet at least
+)
+
 
 class SensedColumns(NamedTuple):
     """Where in a row the sensors' loads stand: the first column of each part."""
@@ -218,6 +222,12 @@ def measure_robot(
         raise ValueError(
             f"Gravity must point down the world's z axis, got {model.opt.gravity.tolist()} m/s^2: level feet "
             "and what they carry would not be known. Tilt the ground instead of gravity."
+        )
+    weighed = below(model, root) * model.body_mass
+    if not float(weighed @ (1.0 - model.body_gravcomp)) > LEAST_WEIGHT * float(weighed.sum()):
+        raise ValueError(
+            f"'gravcomp' of the robot's bodies carries all of its weight, {torso!r} and what hangs on it: feet "
+            "would feel nothing. Set it to 0 in the description."
         )
     places = _places(geometry, cells or {}, margin)
     return MeasuredRobot(

@@ -137,9 +137,7 @@ def carried(model: mujoco.MjModel) -> Iterator[tuple[str, NDArray[Any]]]:
             yield name, value
 
 
-def put_array(
-    new: mujoco.MjModel, name: str, value: NDArray[Any], kept: dict[str, NDArray[np.intp]]
-) -> None:
+def put_array(new: mujoco.MjModel, name: str, value: NDArray[Any], kept: dict[str, NDArray[np.intp]]) -> None:
     """Copy an array of a robot to the same robot with added parts, where ``kept`` are the original ones."""
     target = getattr(new, name)
     rows = kept.get(name.split("_")[0])

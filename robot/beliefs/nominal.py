@@ -1,7 +1,8 @@
 """The model that a robot has of itself: the designer's drawing with masses that are a little off."""
 
+import warnings
 from copy import copy
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -14,12 +15,17 @@ if TYPE_CHECKING:
     from surefoot.envs.instrumentation.drawing import RobotDrawing
 
 
+LEAST_MOVED: Final = 0.01
+"""Share of the mass on joints without encoders from which that is reported: moved by 10 cm, one per cent of the
+mass displaces the centre of mass by 1 mm. Hands and grippers have less."""
+
+
 class Masses(NamedTuple):
     """A robot's beliefs of its bodies."""
 
     mass: Floats  # masses in kg, shape (B,)
     inertia: Floats  # principal moments of inertia in kg m^2, shape (B, 3)
-    com_torso: Floats  # centre of mass of the torso's own body in its frame in m, shape (3,)
+    com: Floats  # centres of mass in the bodies' frames in m, shape (B, 3)
 
 
 class _Shared:
@@ -31,10 +37,12 @@ class _Shared:
 
     def __init__(self, model: mujoco.MjModel, torso: int) -> None:
         self.model, self.data, self._torso = model, mujoco.MjData(model), torso
-        # Older MuJoCo would leave out a centre of mass that is no longer where the torso's origin is.
-        model.body_sameframe[torso] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        self.masses = Masses(model.body_mass.copy(), model.body_inertia.copy(), model.body_ipos[torso].copy())
+        # Otherwise MuJoCo ignores a centre of mass that has moved away from the origin of its body.
+        model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        self.masses = Masses(model.body_mass.copy(), model.body_inertia.copy(), model.body_ipos.copy())
         self._stand()
+        mujoco.mj_kinematics(model, self.data)
+        self.R_torso_body = self.data.xmat.reshape(-1, 3, 3).copy()  # in the zero pose, shape (B, 3, 3)
         self._view()
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
@@ -47,7 +55,7 @@ class _Shared:
         if masses is self.masses:
             return
         model, self.masses = self.model, masses
-        model.body_mass[:], model.body_inertia[:], model.body_ipos[self._torso] = masses
+        model.body_mass[:], model.body_inertia[:], model.body_ipos[:] = masses
         mujoco.mj_setConst(model, self.data)
         self._stand()
 
@@ -72,8 +80,7 @@ class NominalModel:
 
     Args:
         spec: The robot's drawing; parts for a simulation alone are taken out.
-        errors: How far :meth:`draw` puts masses and centre of mass off; it is the torso's own centre of mass
-            that is misplaced.
+        errors: How far :meth:`draw` puts masses and centres of mass off.
         sites: Names of the sites of the IMU and of the F soles, the left one first.
         torso: Name of the floating body, which carries the IMU with its axes along the body's.
 
@@ -94,7 +101,10 @@ class NominalModel:
         torso: str = "torso",
     ) -> None:
         self._errors = errors
-        model = _strip(spec, sites).compile()
+        unmeasured = _strip(spec, sites)
+        model = spec.compile()
+        if warning := _warn_of_unmeasured(model, unmeasured):
+            warnings.warn(warning, stacklevel=2)
         self.gravity = float(np.linalg.norm(model.opt.gravity))
         self._torso = model.body(torso).id
         self._shared = _Shared(model, self._torso)
@@ -102,11 +112,11 @@ class NominalModel:
         joints = [model.joint(i) for i in range(model.njnt)]
         hinges = [joint for joint in joints if joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE]
         self.joint_names = tuple(joint.name for joint in hinges)
-        if model.nq != len(hinges) + 7 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
+        others = [joint.name for joint in joints[1:] if joint.type[0] != mujoco.mjtJoint.mjJNT_HINGE]
+        if others or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
             raise ValueError(
-                "A nominal model needs a robot that floats on one free joint and has hinge joints otherwise, "
-                f"got the joints {[joint.name for joint in joints]}; a planar robot, for instance, has no "
-                "tilt that an IMU could measure."
+                "A nominal model needs a robot that floats on one free joint, with hinge joints, which have "
+                f"encoders, between it and its feet; got {others or joints[0].name}, of another kind."
             )
         self._sites = np.array([model.site(name).id for name in sites])
         self._soles = self._sites[1:]
@@ -134,7 +144,11 @@ class NominalModel:
         return float(self._masses.mass.sum())
 
     def draw(self, rng: np.random.Generator) -> None:
-        """Draw fresh errors of the masses and of the centre of mass, from the drawing's own values."""
+        """Draw fresh errors of the masses and of the centre of mass, from the drawing's own values.
+
+        Each body's centre of mass is displaced by the same vector in the torso's frame, in the zero pose. So the
+        error of the whole robot's is as large, however the masses are distributed over the bodies.
+        """
         drawn = self._drawn
         factor = 1.0 + self._errors.mass * rng.standard_normal(len(drawn.mass))
         total = 1.0 + self._errors.mass * rng.choice([-1.0, 1.0])
@@ -142,8 +156,8 @@ class NominalModel:
         mass = drawn.mass * factor
         direction = rng.standard_normal(3)
         direction *= self._errors.com / np.linalg.norm(direction)
-        share = mass[self._torso] / mass.sum()
-        self.masses = Masses(mass, drawn.inertia * factor[:, None], drawn.com_torso + direction / share)
+        displaced = drawn.com + direction @ self._shared.R_torso_body
+        self.masses = Masses(mass, drawn.inertia * factor[:, None], displaced)
 
     @property
     def masses(self) -> Masses:
@@ -239,8 +253,12 @@ def _rotations(quaternions: Floats) -> Floats:
     return matrices.reshape(-1, 3, 3)
 
 
-def _strip(spec: mujoco.MjSpec, sites: tuple[str, ...]) -> mujoco.MjSpec:
-    """Leave the bodies, the joints and some sites only."""
+def _strip(spec: mujoco.MjSpec, sites: tuple[str, ...]) -> dict[str, set[str]]:
+    """Leave the bodies, the hinges and some sites only; return the joints that were taken out.
+
+    Slide and ball joints that carry no site, such as those of grippers, have no encoders: what they move stays
+    in its zero position. By the joints' names, the bodies that each moves.
+    """
     names = [site.name for site in spec.sites]
     if lacking := [name for name in sites if name not in names]:
         raise ValueError(f"The robot has no site '{lacking[0]}'; it has {names}.")
@@ -251,4 +269,23 @@ def _strip(spec: mujoco.MjSpec, sites: tuple[str, ...]) -> mujoco.MjSpec:
     for site in list(spec.sites):
         if site.name not in sites:
             spec.delete(site)
-    return spec
+    unmeasured = {}
+    for joint in list(spec.joints):
+        if joint.type in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL):
+            body = joint.parent
+            if not body.find_all("site"):
+                unmeasured[joint.name] = {body.name, *(part.name for part in body.find_all("body"))}
+                spec.delete(joint)
+    return unmeasured
+
+
+def _warn_of_unmeasured(model: mujoco.MjModel, unmeasured: dict[str, set[str]]) -> str:
+    """Return a warning of joints without encoders that move more than a hand; empty if they do not."""
+    moved = set().union(*unmeasured.values())
+    share = sum(model.body(name).mass[0] for name in moved) / model.body_mass.sum()
+    if share <= LEAST_MOVED:
+        return ""
+    return (
+        f"The slide and ball joints {list(unmeasured)} have no encoders: the robot believes that what they move, "
+        f"{100.0 * share:.0f} % of its mass, stays in its zero position. Use hinges, or lock these joints."
+    )

@@ -182,7 +182,7 @@ def robot() -> Any:
 LEARNT = {
     "masses.mass": (np.nan, "'masses.mass' holds nan at (0,), and "),
     "masses.inertia": (-1.0, "'masses.inertia' holds -1 at (0, 0), and "),
-    "masses.com_torso": (1e6, "'masses.com_torso' holds 1e+06 at (0,), and "),
+    "masses.com": (1e6, "'masses.com' holds 1e+06 at (0, 0), and "),
     "initial.scale": (0.0, "'initial.scale' holds 0 at (0,), and "),
     "initial.offset": (np.inf, "'initial.offset' holds inf at (0,), and "),
     "state.published.mean": (1e30, "'state.published.mean' holds 1e+30 at (0,), and -20 to 20 can be."),

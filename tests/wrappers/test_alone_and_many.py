@@ -188,3 +188,12 @@ def test_of_robots_that_have_learnt_nothing_one_is_told(method: str) -> None:
         many.reset()
     assert len(told) == 1
     many.reset()
+
+
+def test_tare_of_a_robot_that_only_stands_asks_for_a_lifted_foot() -> None:
+    env = SelfCalibration(FootSensors(gym.make("surefoot/NaoStand-v0", duration=30.0)), "tare")
+    env.reset(seed=0)
+    for _ in range(850):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+    with pytest.warns(UserWarning, match=r"'tare' learns the offsets of a foot while .* Lift each foot once"):
+        env.reset()

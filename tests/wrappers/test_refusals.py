@@ -34,6 +34,7 @@ def sb3(around=lambda venv: venv):
 @pytest.mark.parametrize(
     ("attempt", "error", "words"),
     [
+        (lambda: VecFootSensors(sb3()), TypeError, "VecFootSensors found VecFootSensors below it"),
         (lambda: FootSensors(NAME), TypeError, f"go around one environment, .* got '{NAME}'"),
         (lambda: FootSensors(many()), TypeError, "for those that gym.make_vec.* there is VectorFootSensors"),
         (lambda: FootSensors(one(), 5), TypeError, "'config' must be .* or ForceTorque.*, got 5"),
@@ -60,7 +61,7 @@ def sb3(around=lambda venv: venv):
         (lambda: VectorFootSensors(DummyVecEnv([one])), TypeError, "Stable-Baselines3's many VecFootSensors"),
         (lambda: sb3(VecNormalize).reset(), TypeError, "a wrapper between them has changed them; put"),
         (lambda: sb3(lambda venv: VecFrameStack(venv, 2)), TypeError, "a wrapper between .* put whatever"),
-        (lambda: VectorFootSensors(VectorFootSensors(many())), TypeError, r"in this order: .*, and once"),
+        (lambda: VectorFootSensors(VectorFootSensors(many())), TypeError, "robot's feet are read once"),
         (lambda: VectorFootSensors(FlattenObservation(many())), TypeError, "a wrapper below it has made"),
         (lambda: sb3().set_options([{}]), ValueError, "'options' must be of each of 2 robots, got 1"),
         (lambda: gym.make("surefoot/NaoWalk-v0", speed="fast"), ValueError, "'speed' must be finite, got"),

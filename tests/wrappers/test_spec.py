@@ -13,7 +13,7 @@ from surefoot.robot.beliefs.errors import NO_ERRORS, BeliefErrors
 from surefoot.robot.sensing.foot_equipment import FootOptions
 from surefoot.sensors import Fault, ForceTorque, Imu, LoadCells, preset
 from surefoot.sensors.presets import HX711_LOAD_CELLS
-from surefoot.wrappers import FootEquipment, FootSensors, SelfCalibration
+from surefoot.wrappers import FootEquipment, FootSensors, SelfCalibration, TruthRow
 
 STACKS = {
     "preset": lambda env: FootSensors(env),
@@ -203,10 +203,12 @@ def test_the_order_of_wrappers_matters_and_is_explained(make_bare) -> None:
         SelfCalibration(bare)
     with pytest.raises(TypeError, match="InstrumentedEnv needs an environment on MuJoCo"):
         FootSensors(gym.make("CartPole-v1"))
-    with pytest.raises(
-        TypeError, match="it is the first wrapper around an environment that it reads, and one is enough"
-    ):
-        FootSensors(FootSensors(bare))
+    for inner in (FootSensors(bare), SelfCalibration(FootSensors(make_bare()))):
+        for outer in (FootSensors, TruthRow):
+            with pytest.raises(
+                TypeError, match="found FootSensors below it, and a robot's feet are read once"
+            ):
+                outer(inner)
 
 
 @pytest.mark.parametrize(

@@ -170,7 +170,7 @@ def test_what_does_not_fit_is_refused_at_the_door():
         VectorFootSensors(copies, LoadCells(channels=12))
     with pytest.raises(ValueError, match="'stream'"):
         VectorFootSensors(copies, stream=-1)
-    with pytest.raises(TypeError, match="leave FootSensors"):
+    with pytest.raises(TypeError, match="TruthRow found FootSensors below it"):
         VectorFootSensors(SyncVectorEnv([lambda: TruthRow(FootSensors(_walk()))] * 2))
     boxes = [gym.spaces.Box(-high, high, (17,), np.float64) for high in (1e3, 2e3)]
     odd = [

@@ -13,7 +13,7 @@ from surefoot.pickles import OfOneVersion
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
-from surefoot.wrappers.source import split_options
+from surefoot.wrappers.source import refuse_second, split_options
 from surefoot.wrappers.vector.sensors import BatchSensors, BatchSensorsFace, merge_rows
 from surefoot.wrappers.vector.truth_row import AnyVectorWrapper, VectorTruthRow
 
@@ -69,6 +69,7 @@ class VectorFootSensors(OfOneVersion, BatchSensorsFace, AnyVectorWrapper):
                 "for the one that gym.make(...) makes there is FootSensors, for Stable-Baselines3's many "
                 "VecFootSensors in surefoot.wrappers.vector.sb3."
             )
+        refuse_second("VectorFootSensors", env)
         if isinstance(env.unwrapped, BatchVectorEnv) and not isinstance(env, VectorTruthRow):
             env = VectorTruthRow(env, lends=True)
         super().__init__(env)

@@ -17,7 +17,7 @@ from surefoot.extras import not_installed
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.sensing.foot_equipment import FootEquipment, FootOptions, equip
 from surefoot.robot.sensing.raw_view import TRUTH_KEY
-from surefoot.wrappers.source import OPTIONS, split_options
+from surefoot.wrappers.source import OPTIONS, refuse_second, split_options
 from surefoot.wrappers.vector.calibration import BatchCalibration, BatchCalibrationFace
 from surefoot.wrappers.vector.sensors import BatchSensors, BatchSensorsFace, merge_rows
 
@@ -60,6 +60,7 @@ class VecFootSensors(BatchSensorsFace, VecEnvWrapper):
                 "VecFootSensors goes around a vector environment of Stable-Baselines3, such as "
                 f"DummyVecEnv([lambda: TruthRow(gym.make(...))]), got {venv!r}."
             )
+        refuse_second("VecFootSensors", venv)
         self.sensors = BatchSensors(
             "VecFootSensors",
             venv.num_envs,

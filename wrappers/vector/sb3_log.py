@@ -1,4 +1,4 @@
-"""How right calibrated feet are while a policy of Stable-Baselines3 trains, for its logger: TensorBoard, CSV.
+"""Log how accurate calibrated feet are while a policy of Stable-Baselines3 trains: TensorBoard, CSV.
 
 Needs the extra ``surefoot[rl]``.
 """
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.calibration import MomentumReference, Reference
-from surefoot.calibration.cop import cop_of_feet
+from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.extras import not_installed
 from surefoot.wrappers.self_calibration import SelfCalibration
@@ -23,7 +23,8 @@ except ModuleNotFoundError as missing:
     raise not_installed(__name__, missing, "rl") from None
 
 TRUE_ERROR: Final = "feet/true_cop_error_m"
-"""Root mean square over samples and both axes of the estimated less the true centre of pressure in m."""
+"""Error of the centre of pressure by the learnt map, against that by the true map of the same readings, root mean
+square over samples and both axes in m."""
 
 STATED_STD: Final = "feet/stated_cop_std_m"
 """Standard deviation of the same that the calibrator states, root mean square in m."""
@@ -32,23 +33,25 @@ FLAGGED: Final = "feet/flagged_channels"
 """Share of channels with any flag, over samples; behind a slash, that with one of them."""
 
 
+_SOLES: Final = ("position_sole", "R_level_sole")
+
 _BITS: Final = np.array([sum(Flag), *Flag])
 
 
 class CalibrationLog(BaseCallback):
-    """Log how right the feet are: over all looks at all robots since the logger wrote last.
+    """Log the calibration error of all robots since the logger last wrote.
 
     | Key | Value | Unit |
     |-----|-------|------|
-    | ``feet/true_cop_error_m`` | error of the common centre of pressure against the truth, rms | m |
-    | ``feet/stated_cop_std_m`` | its standard deviation as the calibrator states it, rms | m |
+    | ``feet/true_cop_error_m`` | error of the common centre of pressure by the learnt map, rms | m |
+    | ``feet/stated_cop_std_m`` | its standard deviation as the calibrator reports it, rms | m |
     | ``feet/flagged_channels`` | share of channels with any flag | 1 |
     | ``feet/flagged_channels/spike`` | share with this one, for each flag that was raised | 1 |
 
-    A calibrator that knows how wrong it is has about the same error and standard deviation. The true forces
-    are placed under the soles that the estimate is placed under, so that both speak of forces alone. A method
-    that states no covariance has no standard deviation. It is for the eye: neither policy nor calibrator sees
-    the truth.
+    The error is that of the map alone: the learnt and the true scales and offsets are applied to the same
+    readings. A consistent calibrator has about the same error and standard deviation. Neither contains the age
+    and the noise of the readings, which move the centre of pressure by more while a policy explores. A method
+    without a covariance has no standard deviation. Policy and calibrator never see the truth.
 
     It goes with :class:`~surefoot.wrappers.vector.sb3.VecSelfCalibration` anywhere among the wrappers, or
     with :class:`~surefoot.wrappers.SelfCalibration` around each copy (without the last sample of an episode).
@@ -72,9 +75,10 @@ class CalibrationLog(BaseCallback):
         self._many = unwrap_vec_wrapper(env, VecSelfCalibration)
         if self._many is None and not all(env.env_is_wrapped(SelfCalibration)):
             raise TypeError(
-                "CalibrationLog tells of calibrated feet and found none; wrap in this order: "
+                "CalibrationLog logs calibrated feet and found none; wrap in this order: "
                 f"VecSelfCalibration(VecFootSensors(venv)). Got {env}."
             )
+        self._layout = self._many.calibration.setup.layout if self._many else env.get_attr("layout")[0]
 
     def _on_rollout_start(self) -> None:
         if FLAGGED not in self.logger.name_to_value:
@@ -85,16 +89,23 @@ class CalibrationLog(BaseCallback):
     def _on_step(self) -> bool:
         if self.n_calls % self._every or not (samples := list(self._samples())):
             return True
-        estimates, references, wrenches = zip(*samples, strict=True)
-        position, R = (
-            np.array([getattr(own, name) for own in references]) for name in ("position_sole", "R_level_sole")
+        estimates, references, readings, maps = zip(*samples, strict=True)
+        soles = [np.array([getattr(own, name) for own in references]) for name in _SOLES]
+        raw = np.array(readings)
+        learnt, true = (
+            cop_of_feet(sole_wrenches(np.array(scale) * raw + np.array(offset), self._layout), *soles)
+            for scale, offset in (
+                zip(*((own.scale, own.offset) for own in estimates), strict=True),
+                zip(*maps, strict=True),
+            )
         )
-        error = np.array([own.cop for own in estimates]) - cop_of_feet(np.array(wrenches), position, R)
+        error = learnt - true
         known = np.isfinite(error).all(axis=1)
-        self._add(0, error[known] ** 2)
         if estimates[0].cop_covariance is not None:
-            covariance = np.array([own.cop_covariance for own in estimates])[known]
-            self._add(1, np.diagonal(covariance, axis1=1, axis2=2))
+            covariance = np.array([own.cop_covariance for own in estimates])
+            known &= np.isfinite(covariance).all(axis=(1, 2))
+            self._add(1, np.diagonal(covariance[known], axis1=1, axis2=2))
+        self._add(0, error[known] ** 2)
         raised = np.concatenate([own.flags for own in estimates])[:, None] & _BITS
         self._flagged += np.count_nonzero(raised, axis=0)
         self._channels += len(raised)
@@ -113,15 +124,18 @@ class CalibrationLog(BaseCallback):
             if share:
                 self.logger.record(f"{FLAGGED}/{str(flag.name).lower()}", share)
 
-    def _samples(self) -> Iterator[tuple[Estimate, Reference | MomentumReference, Any]]:
-        """Yield each robot's estimate, its reference and the true wrenches at its soles (2, 6)."""
+    def _samples(self) -> Iterator[tuple[Estimate, Reference | MomentumReference, Any, Any]]:
+        """Yield each robot's estimate, its reference, its readings (K,) and the true map of these."""
         if self._many is not None:
-            wrenches = self._many.venv.truth["wrench_sole"]
-            for robot, wrench_sole in zip(self._many.calibration.robots, wrenches, strict=True):
-                yield robot.estimate, robot.reference, wrench_sole
+            for robot, sensors in zip(
+                self._many.calibration.robots, self._many.venv.sensors.robots, strict=True
+            ):
+                yield robot.estimate, robot.reference, sensors.raw, sensors.true_parameters()
             return
-        env, infos, dones = self.training_env, self.locals["infos"], self.locals["dones"]
-        found = zip(env.get_attr("estimate"), env.get_attr("reference"), infos, dones, strict=True)
-        for estimate, reference, info, done in found:
-            if not done:  # else both are of the next episode
-                yield estimate, reference, info["surefoot"]["truth"]["wrench_sole"]
+        env = self.training_env
+        parts = (env.get_attr(name) for name in ("estimate", "reference", "raw"))
+        for *own, true_map, done in zip(
+            *parts, env.env_method("true_parameters"), self.locals["dones"], strict=True
+        ):
+            if not done:  # else all are of the next episode
+                yield (*own, true_map)

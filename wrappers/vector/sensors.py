@@ -96,7 +96,9 @@ class BatchSensors(OfOneVersion):
         self._owner = owner
         self.equipment = Equipment(owner, self.drawing, joints, meaning.dt, given, meaning.seldom)
         if "foot_raw" in space.spaces:
-            raise TypeError("The copies show 'foot_raw' already: leave FootSensors around each of them out.")
+            raise TypeError(
+                f"{owner} adds 'foot_raw' to the observation, which has a part of that name already."
+            )
         state = {name: slice(start, stop) for name, start, stop in self._meaning.state}
         readings, packet = self.equipment.instruments.space, self.equipment.packet
         self.view = RawView(space, readings, state if state and measure_state else None, packet)

@@ -24,6 +24,7 @@ from surefoot.wrappers.source import (
     check_clock,
     check_order,
     find_source,
+    refuse_second,
     warning_of_true_forces,
     with_source,
 )
@@ -101,6 +102,7 @@ class TruthRow(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs)
         gym.utils.RecordConstructorArgs.__init__(self, keep_info=keep_info)
         if TRUTH_KEY in getattr(getattr(env, "observation_space", None), "spaces", ()):
             raise TypeError(f"TruthRow found another TruthRow below it; one is enough. Got {env}.")
+        refuse_second("TruthRow", env)
         gym.Wrapper.__init__(self, with_source(env))
         source = find_source(self.env)
         assert source is not None
