@@ -271,7 +271,8 @@ def _count_substeps(base: Any, may_copy: bool) -> int:
     timestep = float(base.model.opt.timestep)
     skip, dt = (_number(getattr(base, name, None)) for name in ("frame_skip", "dt"))
     of_dt = round(dt / timestep)
-    if of_dt != skip and may_copy and (passed := round(measure_duration(base) / timestep)) > 0:
+    confirmed = 0 < of_dt == skip
+    if not confirmed and may_copy and (passed := round(measure_duration(base) / timestep)) > 0:
         return passed
     return max(of_dt if of_dt > 1 else round(skip), 1)
 

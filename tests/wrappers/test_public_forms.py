@@ -1,0 +1,414 @@
+"""Environments and robots in the forms in which people publish them, one line each, under one contract.
+
+Whatever the form: the episode is the bare one's, a step lasts as long as it does, the feet carry the weight,
+cells read the truth, and the robot's beliefs have its mass and know its posture.
+"""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.envs.mujoco import MujocoEnv
+
+from surefoot.robot.beliefs.errors import NO_ERRORS
+from surefoot.wrappers import FootSensors, SelfCalibration
+
+BOX = '<geom type="box" size="0.08 0.035 0.012" pos="0.02 0 -0.038" mass="0.5"/>'
+TRUNK = '<geom type="box" size="0.07 0.09 0.12" pos="0.01 0 0.12" mass="7"/>'
+LIGHT = '<inertial pos="0 0 0" mass="{}" diaginertia="{} {} {}"/>'
+
+
+def corners(shape: str) -> str:
+    """Put a geom into each corner of a sole."""
+    places = [(x, y) for x in (-0.05, 0.09) for y in (-0.03, 0.03)]
+    return "".join(f'<geom {shape} pos="{x} {y} -0.04" mass="0.125"/>' for x, y in places)
+
+
+def arms(attributes: str = "", hand: str = "") -> str:
+    """Write two arms of 0.9 kg on springs."""
+    return "".join(
+        f'<body name="{s}_arm" pos="0 {y} 0.2" {attributes}><joint name="{s}_shoulder" axis="0 1 0" stiffness="30"/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 -0.22" size="0.025" mass="0.9" contype="0" conaffinity="0"/>'
+        f"{hand.replace('SIDE', s)}</body>"
+        for s, y in (("left", 0.15), ("right", -0.15))
+    )
+
+
+def hand(joint: str, mass: float) -> str:
+    """Write a hand or finger on a joint without a motor."""
+    return (
+        f'<body name="SIDE_hand" pos="0 0 -0.25"><joint name="SIDE_wrist" {joint}/>'
+        f'<geom size="0.02" mass="{mass}" contype="0" conaffinity="0"/></body>'
+    )
+
+
+def turned(seed: int) -> tuple[str, str]:
+    """Return a random rotation and its inverse."""
+    quaternion, inverse = np.random.default_rng(seed).normal(size=4), np.zeros(4)
+    quaternion /= np.linalg.norm(quaternion)
+    mujoco.mju_negQuat(inverse, quaternion)
+    return " ".join(map(repr, quaternion.tolist())), " ".join(map(repr, inverse.tolist()))
+
+
+def in_frame(turn: int | None, inside: str) -> tuple[str, str]:
+    """Turn a body's own frame at random and leave what is inside in its place: attributes, and the inside."""
+    if turn is None:
+        return "", inside
+    quaternion, inverse = turned(turn)
+    return f'quat="{quaternion}"', f'<frame quat="{inverse}">{inside}</frame>'
+
+
+def biped(
+    trunk: str = TRUNK,
+    foot: str = BOX,
+    *,
+    root: int | None = None,
+    feet: int | None = None,
+    height: float = 0.6,
+    floor: str = '<geom name="floor" type="plane" size="5 5 0.1"/>',
+    option: str = "",
+    end: str = "",
+    assets: str = "",
+) -> str:
+    """Write a biped of some 11 kg on position servos."""
+    legs, motors = "", ""
+    for s, y in (("left", 0.08), ("right", -0.08)):
+        turn = None if feet is None else feet + (s == "left")
+        joints = f'<joint name="{s}_pitch" axis="0 1 0"/><joint name="{s}_roll" axis="1 0 0"/>'
+        attributes, inside = in_frame(turn, joints + foot.replace("SIDE", s))
+        legs += (
+            f'<body name="{s}_thigh" pos="0 {y} 0"><joint name="{s}_hip" axis="0 1 0"/>'
+            '<geom type="capsule" fromto="0 0 -0.02 0 0 -0.24" size="0.03" mass="1" contype="0" conaffinity="0"/>'
+            f'<body name="{s}_shank" pos="0 0 -0.27"><joint name="{s}_knee" axis="0 1 0"/>'
+            '<geom type="capsule" fromto="0 0 -0.02 0 0 -0.2" size="0.03" mass="0.7" contype="0" conaffinity="0"/>'
+            f'<body name="{s}_foot" pos="0 0 -0.28" {attributes}>{inside}</body></body></body>'
+        )
+        motors += "".join(f'<position joint="{s}_{j}"/>' for j in ("hip", "knee", "pitch", "roll"))
+    attributes, inside = in_frame(root, trunk + legs)
+    return (
+        f'<mujoco><option timestep="0.002" {option}/><asset>{assets}</asset><default><joint damping="1" armature="0.02"/>'
+        '<position kp="500" kv="12" ctrlrange="-1 1"/></default>'
+        f'<worldbody>{floor}<body name="base_link" pos="0 0 {height}" {attributes}><freejoint/>{inside}</body>'
+        f"</worldbody><actuator>{motors}</actuator>{end}</mujoco>"
+    )
+
+
+class Own(gym.Env):
+    """An environment of one's own; a form overrides what it has of its own."""
+
+    frame_skip: Any = 5
+
+    def __init__(self, path: str) -> None:
+        self.fullpath = path
+        self.model = mujoco.MjModel.from_xml_path(path)
+        self.data = mujoco.MjData(self.model)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.model.nu,), np.float64)
+        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (self.model.nq,), np.float64)
+        self.prepare()
+
+    def prepare(self) -> None:
+        """Do what a form does in its constructor."""
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.begin()
+        mujoco.mj_forward(self.model, self.data)
+        return self.data.qpos.copy(), {}
+
+    def begin(self) -> None:
+        mujoco.mj_resetData(self.model, self.data)
+
+    def step(self, action):
+        self.data.ctrl[:] = action
+        self.simulate()
+        return self.data.qpos.copy(), 0.0, False, False, {}
+
+    def simulate(self) -> None:
+        for _ in range(self.frame_skip):
+            mujoco.mj_step(self.model, self.data)
+
+
+class TimestepIsDt(Own):
+    def prepare(self):
+        self.dt = self.model.opt.timestep
+
+
+class DtAlone(Own):
+    frame_skip = property()  # raises AttributeError
+
+    def prepare(self):
+        self.dt, self.count = 0.01, 5
+
+    def simulate(self):
+        mujoco.mj_step(self.model, self.data, self.count)
+
+
+class Decimation(Own):
+    frame_skip = property()
+
+    def prepare(self):
+        self.sim_dt, self.decimation = self.model.opt.timestep, 5
+
+    def simulate(self):
+        mujoco.mj_step(self.model, self.data, self.decimation)
+
+
+class DtIsThePolicysInMs(Decimation):
+    dt = 10
+
+
+class UntilTime(Own):
+    frame_skip = None
+
+    def simulate(self):
+        end = self.data.time + 0.0099
+        while self.data.time < end:
+            mujoco.mj_step(self.model, self.data)
+
+
+class DataAtEachReset(Own):
+    def begin(self):
+        self.data = mujoco.MjData(self.model)
+
+
+class Randomised(Own):
+    """Masses differ from episode to episode."""
+
+    def begin(self):
+        super().begin()
+        self.randomise(self.np_random)
+
+
+class InAClosure(Randomised):
+    def prepare(self):
+        model, mass = self.model, self.model.body_mass.copy()
+        self.randomise = lambda rng: model.body_mass.__setitem__(slice(None), mass * rng.uniform(0.8, 1.2))
+
+
+class ViewInAClosure(Randomised):
+    def prepare(self):
+        mass, drawn = self.model.body_mass, self.model.body_mass.copy()
+
+        def randomise(rng):
+            mass[:] = drawn * rng.uniform(0.8, 1.2)
+
+        self.randomise = randomise
+
+
+def _scale(model, mass, rng):
+    model.body_mass[:] = mass * rng.uniform(0.8, 1.2)
+
+
+class InAPartial(Randomised):
+    def prepare(self):
+        self.randomise = partial(_scale, self.model, self.model.body_mass.copy())
+
+
+class Slotted:
+    __slots__ = ("mass", "model")
+
+    def __init__(self, model):
+        self.model, self.mass = model, model.body_mass.copy()
+
+    def apply(self, rng):
+        _scale(self.model, self.mass, rng)
+
+
+class InAMethod(Randomised):
+    def prepare(self):
+        self.hooks = {"reset": [[Slotted(self.model).apply]]}
+        self.randomise = lambda rng: self.hooks["reset"][0][0](rng)
+
+
+class Gymnasiums(MujocoEnv):
+    metadata = {  # noqa: RUF012
+        "render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"],
+        "render_fps": 100,
+    }
+
+    def __init__(self, path: str) -> None:
+        size = mujoco.MjModel.from_xml_path(path).nq
+        super().__init__(path, 5, gym.spaces.Box(-np.inf, np.inf, (size,), np.float64))
+
+    def reset_model(self):
+        self.set_state(self.init_qpos, self.init_qvel)
+        return self.data.qpos.copy()
+
+    def step(self, action):
+        self.do_simulation(action, self.frame_skip)
+        return self.data.qpos.copy(), 0.0, False, False, {}
+
+
+MESH = (
+    '<mesh name="sole" vertex="-.06 -.03 -.05 .1 -.03 -.05 .1 .03 -.05 -.06 .03 -.05 '
+    '-.05 -.02 -.02 .08 -.02 -.02 .08 .02 -.02 -.05 .02 -.02"/>'
+)
+HEEL = '<geom type="box" size="0.05 0.035 0.012" pos="-0.01 0 -0.038" mass="0.35"/>'
+TOE = (
+    '<body name="SIDE_toe" pos="0.045 0 -0.038">{}<geom type="box" size="0.025 0.035 0.012" pos="0.025 0 0" '
+    'mass="0.15"/></body>'
+)
+WELDED = f'<body name="trunk" pos="0 0 0.02">{TRUNK}</body>'
+PAIRS = "<contact>" + "".join(f'<pair geom1="floor" geom2="{s}"/>' for s in ("left", "right")) + "</contact>"
+
+ENVIRONMENTS = {
+    kind.__name__: (kind, biped())
+    for kind in (
+        *(Gymnasiums, Own, TimestepIsDt, DtAlone, Decimation, DtIsThePolicysInMs, UntilTime, DataAtEachReset),
+        *(InAClosure, ViewInAClosure, InAPartial, InAMethod),
+    )
+}
+ROBOTS = {
+    "spheres": biped(foot=corners('type="sphere" size="0.01"')),
+    "capsules": biped(foot=corners('type="capsule" size="0.01 0.01"')),
+    "cylinder": biped(foot='<geom type="cylinder" size="0.06 0.01" pos="0 0 -0.04" mass="0.5"/>'),
+    "mesh": biped(foot='<geom type="mesh" mesh="sole" mass="0.5"/>', assets=MESH),
+    "contact pairs": biped(
+        foot=BOX.replace("<geom", '<geom name="SIDE" contype="0" conaffinity="0"'), end=PAIRS
+    ),
+    "toe on a hinge": biped(foot=HEEL + TOE.format('<joint name="SIDE_toe" axis="0 1 0" stiffness="60"/>')),
+    "toe welded": biped(foot=HEEL + TOE.format("")),
+    "sole welded to a bare link": biped(
+        foot=f'{LIGHT.format(0.05, 1e-5, 1e-5, 1e-5)}<body name="SIDE_sole">{BOX}</body>'
+    ),
+    "frame below the foot": biped(foot=f'{BOX}<body name="SIDE_tip" pos="0.1 0 0"><site/></body>'),
+    "trunk welded to a bare body": biped(WELDED),
+    "trunk welded over two": biped(f'<body name="pelvis" pos="0 0 0.01">{WELDED}</body>'),
+    "trunk welded to 1 g": biped(LIGHT.format(0.001, 1e-7, 1e-7, 1e-7) + WELDED),
+    "trunk on a waist, base of 1 g": biped(
+        LIGHT.format(0.001, 1e-7, 1e-7, 1e-7)
+        + WELDED.replace(TRUNK, '<joint name="waist" axis="0 0 1" stiffness="300"/>' + TRUNK)
+    ),
+    "base on the ground": biped(TRUNK).replace('pos="0 0 0.6"', 'pos="0 0 0.001"').replace(
+        TRUNK, f'<frame pos="0 0 0.599">{TRUNK}'
+    ).replace("</body></worldbody>", "</frame></body></worldbody>"),
+    "base turned": biped(root=11),
+    "feet turned": biped(feet=21),
+    "all turned": biped(WELDED, HEEL + TOE.format(""), root=31, feet=41),
+    "weightless arms": biped(TRUNK + arms('gravcomp="1"')),
+    "grippers": biped(TRUNK + arms(hand=hand('type="slide" axis="1 0 0" range="0 0.02" limited="true"', 0.03))),
+    "ball wrists": biped(TRUNK + arms(hand=hand('type="ball" stiffness="2"', 0.05))),
+    "keyframe": biped(end='<keyframe><key name="home" qpos="0 0 0.6 1 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>'),
+    "floor of a box": biped(floor='<geom type="box" size="2 2 0.1" pos="0 0 -0.1"/>'),
+    "moon": biped(option='gravity="0 0 -1.62"'),
+    "implicitfast": biped(option='integrator="implicitfast"'),
+    "elliptic cone": biped(option='cone="elliptic" impratio="10"'),
+}  # fmt: skip
+
+FORMS = ENVIRONMENTS | {name: (Gymnasiums, text) for name, text in ROBOTS.items()}
+PERFECT: dict[str, Any] = {"config": "perfect", "imu": "perfect", "encoders": "perfect", "link": "perfect"}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.filterwarnings("ignore:The feet of .* are read once a control step")
+@pytest.mark.filterwarnings("ignore:'gravcomp' of the bodies")
+def test_a_published_form_is_exact(form: str, tmp_path: Path) -> None:
+    kind, text = FORMS[form]
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    bare = kind(str(path))
+    env = SelfCalibration(FootSensors(kind(str(path)), **PERFECT), errors=NO_ERRORS, show=("foot_raw", "vgrf"))
+    for seed in (1, 2):
+        bare.reset(seed=seed)
+        env.reset(seed=seed)
+        loads, read = [], []
+        for k in range(100):
+            sway = 0.02 * np.sin(0.1 * k)
+            action = np.array([sway, 0.0, -sway, 0.0] * 2)
+            before = bare.data.time
+            bare.step(action)
+            seen, *_, info = env.step(action)
+            told = info["surefoot"]
+            loads.append(told["truth"]["vgrf"])
+            read.append(seen["foot_raw"] - told["truth"]["force_cell"])
+        np.testing.assert_array_equal(env.unwrapped.data.qpos, bare.data.qpos)
+        np.testing.assert_array_equal(env.unwrapped.model.body_mass, bare.model.body_mass)
+        drawing, model = env.get_wrapper_attr("drawing"), bare.model
+        assert env.get_wrapper_attr("dt") == pytest.approx(bare.data.time - before)
+        assert drawing.feet == ("left_foot", "right_foot")
+        carried = model.body_mass * (1.0 - model.body_gravcomp)
+        weight = -model.opt.gravity[2] * carried.sum()
+        assert np.sum(loads[50:], axis=1).mean() == pytest.approx(weight, rel=0.01)
+        assert np.abs(read).max() < 1e-5 * weight
+        assert told["reference"]["known"]
+        if not isinstance(bare, Randomised):
+            assert drawing.weight == pytest.approx(weight)
+            assert env.robot.model.mass == pytest.approx(carried.sum())
+
+
+def written(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_changes_by_a_script_that_kept_the_model_count(tmp_path: Path) -> None:
+    """The script's model is replaced by one with sensors; what it changes there from outside has its effect."""
+    path = written(tmp_path, biped())
+    bare, base = Own(path), Own(path)
+    scripts = bare.model, base.model
+    gravity = [model.opt for model in scripts]
+    env = FootSensors(base, "perfect")
+    assert base.model is not scripts[1]
+    for seed in (1, 2):
+        for model, option in zip(scripts, gravity, strict=True):
+            model.body_mass[1] *= 1.2
+            model.geom_friction[:, 0] = 0.5
+            option.gravity[2] = -9.0 - 0.2 * seed
+        bare.reset(seed=seed)
+        env.reset(seed=seed)
+        for _ in range(5):
+            bare.step(np.zeros(8))
+            env.step(np.zeros(8))
+        scripts[0].body_mass[1] = scripts[1].body_mass[1] = 9.0
+        for _ in range(5):
+            bare.step(np.zeros(8))
+            env.step(np.zeros(8))
+        np.testing.assert_array_equal(env.unwrapped.data.qpos, bare.data.qpos)
+
+
+KEPT: list[Any] = []
+
+
+class Elsewhere(Own):
+    """Randomises a model that is kept where nobody can look for it."""
+
+    def prepare(self):
+        KEPT[:] = [self.model]
+
+    def begin(self):
+        super().begin()
+        if self.np_random_seed == 3:
+            KEPT[0].body_mass[2] *= 1.1
+
+
+def test_changes_that_come_to_nothing_within_a_reset_are_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, biped())
+    env = FootSensors(Elsewhere(path), "perfect")
+    env.reset(seed=1)
+    with pytest.raises(RuntimeError, match=r"Elsewhere has changed \['body_mass'\] .* in_place=False\)"):
+        env.reset(seed=3)
+    KEPT.clear()
+
+
+def test_joints_without_encoders_are_named(tmp_path: Path) -> None:
+    ankle = biped()
+    for s in ("left", "right"):
+        ankle = ankle.replace(f'<joint name="{s}_pitch" axis="0 1 0"/>', "")
+        ankle = ankle.replace(f'<joint name="{s}_roll" axis="1 0 0"/>', f'<joint name="{s}_roll" type="ball"/>')
+        for joint in ("pitch", "roll"):
+            ankle = ankle.replace(f'<position joint="{s}_{joint}"/>', "")
+    with pytest.raises(ValueError, match=r"and its feet; got \['left_roll', 'right_roll'\], of another kind"):
+        SelfCalibration(FootSensors(Gymnasiums(written(tmp_path, ankle)), "perfect"))
+    lift = WELDED.replace(TRUNK, '<joint name="lift" type="slide" axis="0 0 1" stiffness="9e4"/>' + TRUNK)
+    lift = biped(LIGHT.format(1.0, 0.01, 0.01, 0.01) + lift)
+    with pytest.warns(UserWarning, match=r"joints \['lift'\] have no encoders: .* 5\d % of its mass, stays in"):
+        SelfCalibration(FootSensors(Gymnasiums(written(tmp_path, lift)), "perfect"))
+    with pytest.warns(UserWarning, match=r"'gravcomp' of the bodies \['left_arm', 'right_arm'\] carries 17\.7 N"):
+        SelfCalibration(FootSensors(Gymnasiums(written(tmp_path, ROBOTS["weightless arms"])), "perfect"))
+    with pytest.raises(ValueError, match="'gravcomp' of the robot's bodies carries all of its weight"):
+        FootSensors(Gymnasiums(written(tmp_path, biped().replace("<body ", '<body gravcomp="1" '))))
