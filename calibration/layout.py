@@ -99,18 +99,20 @@ class FootLayout:
         """Describe a foot on single-axis load cells.
 
         Each cell carries a vertical force at its own place, so that the cells of a foot add up to
-        (fz, tx, ty) = (sum F_i, sum y_i F_i, -sum x_i F_i); the other three rows stay 0.
+        (fz, tx, ty) = (sum F_i, sum y_i F_i, -sum x_i F_i); the other three rows stay 0. A foot on one cell
+        has no centre of pressure of its own, as one of :meth:`point`.
 
         Args:
             name: The foot's name in messages and logs.
-            position_cell_sole: Positions of the cells in the sole frame in m, shape (k, 2) or (k, 3);
-                four cells are ordered (front-left, front-right, rear-left, rear-right).
+            position_cell_sole: Positions of the cells in the sole frame in m, shape (k, 2) or (k, 3), of one
+                cell or of three or more; four cells are ordered (front-left, front-right, rear-left,
+                rear-right).
             channel_names: Names of the cells; four cells need none.
             mass_below: Mass of the sole plate under the cells in kg.
             com_below_sole: Its centre of mass in the sole frame in m, shape (3,).
 
         Raises:
-            ValueError: If fewer than three cells are given, if they lie on one line, if a position is not
+            ValueError: If no or two cells are given, if they lie on one line, if a position is not
                 finite, or if the mass is negative.
 
         >>> foot = FootLayout.load_cells("left", [(0.1, 0.05), (0.1, -0.05), (-0.06, 0.05), (-0.06, -0.05)])
@@ -118,31 +120,38 @@ class FootLayout:
         array([1., 1., 1., 1.])
         """
         position = np.asarray(position_cell_sole, dtype=np.float64)
-        if position.ndim != 2 or position.shape[0] < 3 or position.shape[1] not in (2, 3):
+        if position.ndim != 2 or position.shape[0] in (0, 2) or position.shape[1] not in (2, 3):
             raise ValueError(
-                f"Foot '{name}' needs at least three cell positions of shape (cells, 2) or (cells, 3), "
-                f"got shape {position.shape}: fewer cells cannot tell a centre of pressure."
+                f"Foot '{name}' needs one cell position or at least three, of shape (k, 2) or (k, 3), "
+                f"got shape {position.shape}: two cells do not determine a centre of pressure."
             )
         if not np.isfinite(position).all():
             raise ValueError(f"The cell positions of foot '{name}' hold values that are not finite.")
         if position.shape[1] == 2:
             position = np.column_stack([position, np.zeros(len(position))])
+        single = len(position) == 1
         spread = np.linalg.svd(position[:, :2] - position[:, :2].mean(axis=0), compute_uv=False)
-        if spread[1] < 1e-6:
+        if not single and spread[1] < 1e-6:
             raise ValueError(
                 f"The cells of foot '{name}' lie on one line, so that the centre of pressure beside it "
                 "is not determined; check the positions (metres, sole frame)."
             )
         if channel_names is None:
             channel_names = (
-                LOAD_CELL_NAMES if len(position) == 4 else [f"cell-{i}" for i in range(len(position))]
+                LOAD_CELL_NAMES
+                if len(position) == 4
+                else ("fz",)
+                if single
+                else [f"cell-{i}" for i in range(len(position))]
             )
         x, y = position[:, 0], position[:, 1]
         zero = np.zeros_like(x)
         wrench_map = np.stack([zero, zero, np.ones_like(x), y, -x, zero])
         below = _check_below(name, mass_below, com_below_sole)
         sensor = FootSensor(slice(0, len(position)), wrench_map, False, np.ones(6), *below)
-        return cls(name, wrench_map, tuple(channel_names), position, (sensor,))
+        return cls(
+            name, wrench_map, tuple(channel_names), None if single else position, (sensor,), not single
+        )
 
     @classmethod
     def force_torque(

@@ -55,9 +55,9 @@ class Chances:
         upright, standing = (round(100 * part / samples) for part in (upright, standing))
         if needs_swing and standing >= 50:
             warnings.warn(
-                f"SelfCalibration has learnt nothing in {samples * dt:.0f} s, and readings stay at the starting "
-                "map: 'tare' learns the offsets of a foot while it is in the air, and the robot only stood. Lift "
-                "each foot once, or use 'moment', which learns while the robot stands.",
+                f"SelfCalibration has learnt nothing in {samples * dt:.0f} s, and readings stay at the "
+                "starting map: 'tare' learns the offsets of a foot while it is in the air, and the robot "
+                "only stood. Lift each foot once, or use 'moment', which learns while the robot stands.",
                 stacklevel=4,
             )
             return True

@@ -115,7 +115,7 @@ class FootSensors(
         shown: Any = self.env.observation_space
         if "foot_raw" in getattr(shown, "spaces", ()):
             raise TypeError(
-                f"FootSensors adds 'foot_raw' to the observation, which has a part of that name already: {env}."
+                f"FootSensors adds 'foot_raw' to an observation that has a part of that name already: {env}."
             )
         layout = getattr(source, "state_layout", None) if measure_state else None
         self._view = RawView(shown, self.instruments.space, layout, equipment.packet)

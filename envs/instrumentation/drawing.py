@@ -223,9 +223,9 @@ def _gravcomp_caveat(model: mujoco.MjModel, root: int) -> str:
     bodies = [model.body(int(body)).name for body in np.flatnonzero(carried)]
     return (
         f"'gravcomp' of the bodies {bodies} carries {gravity * carried.sum():.1f} N of the robot's weight of "
-        f"{gravity * model.body_subtreemass[root]:.1f} N from outside, which no foot feels. The robot believes "
-        "that these bodies are as much lighter, and references miss a part of their inertia. Let motors hold "
-        "them up instead, as on a real robot."
+        f"{gravity * model.body_subtreemass[root]:.1f} N from outside, which no foot feels. The robot "
+        "assumes that these bodies are lighter by as much, so references lack a part of their inertia. Let "
+        "motors hold the bodies up instead, as on a real robot."
     )
 
 

@@ -199,7 +199,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         """Start an episode, and read the state in which it starts.
 
         Raises:
-            RuntimeError: If the environment has made another model, or has changed one that it no longer uses.
+            RuntimeError: If the environment has made another model, or has changed the one that was replaced.
         """
         self._carry_over()
         with self._reader.still():
@@ -236,8 +236,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         base, name = self._base, type(self._base).__name__
         if base.model is not self._model or getattr(base.data, "model", self._model) is not self._model:
             raise RuntimeError(
-                f"{name} has made another model at a reset, so that its feet are not measured any more; let it "
-                "change the numbers of its model instead, or wrap it again after each reset."
+                f"{name} has made another model at a reset, so that its feet are not measured any more. Let "
+                "it change the numbers of its model instead, or wrap it again after each reset."
             )
         if base.data is not self._data:
             self._data = base.data
@@ -255,8 +255,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         """Warn once that a step has more physics steps than are read."""
         self._warned = True
         warnings.warn(
-            f"A step of {self.env} took {passed} physics steps, and {self._substeps} were expected: the truth "
-            "covers the last of them only. Put wrappers that repeat steps around InstrumentedEnv.",
+            f"A step of {self.env} took {passed} physics steps, and {self._substeps} were expected: the "
+            "truth covers the last of them only. Put wrappers that repeat steps around InstrumentedEnv.",
             stacklevel=3,
         )
 

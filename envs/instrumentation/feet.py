@@ -20,8 +20,8 @@ SAME_HEIGHT: Final = 0.1
 centre of mass above them."""
 
 BEARS: Final = 0.015
-"""A body above a leaf belongs to the same foot if it reaches as low, to this share of the height of the centre
-of mass: 1.4 cm on a person. A shank that ends in a ball around its ankle stays 2 cm off the ground."""
+"""A body above a leaf belongs to the same foot if it reaches as low, to this share of the height of the
+centre of mass: 1.4 cm on a person. A shank that ends in a ball around its ankle stays 2 cm off the ground."""
 
 SHORT: Final = 0.5
 """Greatest distance between the bodies of a foot, as a share of the height of the centre of mass. All bodies
@@ -37,7 +37,7 @@ LEAST_SHARE_ON_FEET: Final = 0.95
 """Least share of the weight that guessed feet must carry: what lacks is half of what a toe or heel bears."""
 
 UPRIGHT: Final = 0.5
-"""Least height of the centre of mass above the feet of a standing robot, as a share of its distance from them."""
+"""Least height of a standing robot's centre of mass above its feet, as a share of its distance from them."""
 
 
 def standing_pose(model: mujoco.MjModel) -> mujoco.MjData:

@@ -1,9 +1,9 @@
 """Follows a model that was replaced, for code outside of the environment that still refers to it.
 
 An instrumented model takes the place of the one that an environment was made with. A script that keeps
-``model = env.unwrapped.model`` and randomises that from episode to episode would change nothing. References of
-the environment itself are found before (:func:`~surefoot.envs.instrumentation.swap.find_holder`), and leave its
-model alone.
+``model = env.unwrapped.model`` and randomises it from episode to episode would then change nothing, so these
+changes are carried over. References inside the environment are found before the exchange
+(:func:`~surefoot.envs.instrumentation.swap.find_holder`), and its model is left alone.
 """
 
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ class ReplacedModel:
         self._before: dict[str, Any] = {}
 
     def follow(self) -> bool:
-        """Remember the present numbers; return whether anybody refers to them, called once others are gone."""
+        """Remember the present numbers, after the exchange; return whether anything still refers to them."""
         self._before = dict(self._numbers())
         return bool(self._before)
 

@@ -226,8 +226,8 @@ def measure_robot(
     weighed = below(model, root) * model.body_mass
     if not float(weighed @ (1.0 - model.body_gravcomp)) > LEAST_WEIGHT * float(weighed.sum()):
         raise ValueError(
-            f"'gravcomp' of the robot's bodies carries all of its weight, {torso!r} and what hangs on it: feet "
-            "would feel nothing. Set it to 0 in the description."
+            f"'gravcomp' of the robot's bodies carries all of its weight, {torso!r} and what hangs on it: "
+            "feet would feel nothing. Set it to 0 in the description."
         )
     places = _places(geometry, cells or {}, margin)
     return MeasuredRobot(

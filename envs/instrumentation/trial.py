@@ -1,4 +1,4 @@
-"""Trials on copies of an environment: how long a step takes, and whether sensors in its model would be noticed."""
+"""Trials on copies of an environment: how long a step takes, and whether it would notice added sensors."""
 
 import random
 from collections.abc import Iterator, Mapping
@@ -24,7 +24,7 @@ Shown = list[tuple[Any, ...]]
 
 
 def measure_duration(env: gym.Env[Any, Any]) -> float:
-    """Return how much simulated time in s a step of an environment's copy takes; 0 if it cannot be stepped."""
+    """Return the simulated time in s that a step of a copy takes; 0 if the copy cannot be stepped."""
     try:
         with _own_randomness():
             tried = _copy(env)

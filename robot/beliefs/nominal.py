@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 LEAST_MOVED: Final = 0.01
-"""Share of the mass on joints without encoders from which that is reported: moved by 10 cm, one per cent of the
-mass displaces the centre of mass by 1 mm. Hands and grippers have less."""
+"""Share of the mass on joints without encoders above which a warning is given: moved by 10 cm, one per cent
+of the mass displaces the centre of mass by 1 mm. Hands and grippers have less."""
 
 
 class Masses(NamedTuple):
@@ -146,8 +146,8 @@ class NominalModel:
     def draw(self, rng: np.random.Generator) -> None:
         """Draw fresh errors of the masses and of the centre of mass, from the drawing's own values.
 
-        Each body's centre of mass is displaced by the same vector in the torso's frame, in the zero pose. So the
-        error of the whole robot's is as large, however the masses are distributed over the bodies.
+        Each body's centre of mass is displaced by the same vector, given in the torso's frame in the zero
+        pose. The error of the whole robot is then that vector, however the masses are distributed.
         """
         drawn = self._drawn
         factor = 1.0 + self._errors.mass * rng.standard_normal(len(drawn.mass))
@@ -256,8 +256,8 @@ def _rotations(quaternions: Floats) -> Floats:
 def _strip(spec: mujoco.MjSpec, sites: tuple[str, ...]) -> dict[str, set[str]]:
     """Leave the bodies, the hinges and some sites only; return the joints that were taken out.
 
-    Slide and ball joints that carry no site, such as those of grippers, have no encoders: what they move stays
-    in its zero position. By the joints' names, the bodies that each moves.
+    Slide and ball joints that carry no site, such as those of grippers, have no encoders: what they move
+    stays in its zero position. The returned mapping has the bodies that each joint moves, by its name.
     """
     names = [site.name for site in spec.sites]
     if lacking := [name for name in sites if name not in names]:
@@ -286,6 +286,6 @@ def _warn_of_unmeasured(model: mujoco.MjModel, unmeasured: dict[str, set[str]]) 
     if share <= LEAST_MOVED:
         return ""
     return (
-        f"The slide and ball joints {list(unmeasured)} have no encoders: the robot believes that what they move, "
-        f"{100.0 * share:.0f} % of its mass, stays in its zero position. Use hinges, or lock these joints."
+        f"The slide and ball joints {list(unmeasured)} have no encoders: the robot believes that what they "
+        f"move, {100.0 * share:.0f} % of its mass, stays in its zero position. Use hinges, or lock them."
     )

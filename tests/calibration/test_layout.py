@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from surefoot.calibration.cop import cop_of_feet, sole_wrenches
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 
 CORNERS = [(0.1, 0.05), (0.1, -0.05), (-0.06, 0.05), (-0.06, -0.05)]
@@ -58,7 +59,10 @@ def test_nao_shoes_are_mirror_images():
 
 test_refuses_cells_that_make_no_foot = refusals(
     lambda positions: FootLayout.load_cells("left", positions),
-    ([(0.0, 0.0), (1.0, 0.0)], "needs at least three cell positions of shape (cells, 2) or (cells, 3)"),
+    (
+        [(0.0, 0.0), (1.0, 0.0)],
+        "needs one cell position or at least three, of shape (k, 2) or (k, 3)",
+    ),
     (np.zeros((4, 4)), "got shape (4, 4)"),
     ([(0.0, 0.0), (1.0, np.nan), (0.0, 1.0)], "cell positions of foot 'left' hold values"),
     ([(0.0, 0.0), (0.1, 0.1), (0.2, 0.2)], "The cells of foot 'left' lie on one line"),
@@ -194,3 +198,15 @@ test_refuses_instruments_that_make_no_foot = refusals(
     ),
     plain=True,
 )
+
+
+def test_a_foot_on_one_cell_has_its_force_where_the_cell_is() -> None:
+    """Two feet on one cell each have a common centre of pressure between the cells, and none of their own."""
+    feet = tuple(FootLayout.load_cells(name, [(0.03, y)]) for name, y in (("left", 0.01), ("right", -0.02)))
+    layout = FeetLayout(feet)
+    assert layout.channel_names == ("left/fz", "right/fz")
+    force = np.array([30.0, 10.0])
+    soles, level = np.array([(0.0, 0.1, 0.0), (0.2, -0.1, 0.0)]), np.tile(np.eye(3), (2, 1, 1))
+    cop = cop_of_feet(sole_wrenches(force, layout), soles, level)
+    np.testing.assert_allclose(cop, [(30 * 0.03 + 10 * 0.23) / 40, (30 * 0.11 - 10 * 0.12) / 40])
+    assert not any(foot.flat for foot in feet)

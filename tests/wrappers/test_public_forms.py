@@ -28,11 +28,17 @@ def corners(shape: str) -> str:
     return "".join(f'<geom {shape} pos="{x} {y} -0.04" mass="0.125"/>' for x, y in places)
 
 
+def limb(length: float, mass: float) -> str:
+    """Write a limb that touches nothing."""
+    capsule = f'<geom type="capsule" fromto="0 0 -0.02 0 0 {-length}" size="0.025" mass="{mass}"'
+    return capsule + ' contype="0" conaffinity="0"/>'
+
+
 def arms(attributes: str = "", hand: str = "") -> str:
     """Write two arms of 0.9 kg on springs."""
     return "".join(
-        f'<body name="{s}_arm" pos="0 {y} 0.2" {attributes}><joint name="{s}_shoulder" axis="0 1 0" stiffness="30"/>'
-        '<geom type="capsule" fromto="0 0 0 0 0 -0.22" size="0.025" mass="0.9" contype="0" conaffinity="0"/>'
+        f'<body name="{s}_arm" pos="0 {y} 0.2" {attributes}>'
+        f'<joint name="{s}_shoulder" axis="0 1 0" stiffness="30"/>{limb(0.22, 0.9)}'
         f"{hand.replace('SIDE', s)}</body>"
         for s, y in (("left", 0.15), ("right", -0.15))
     )
@@ -82,18 +88,19 @@ def biped(
         attributes, inside = in_frame(turn, joints + foot.replace("SIDE", s))
         legs += (
             f'<body name="{s}_thigh" pos="0 {y} 0"><joint name="{s}_hip" axis="0 1 0"/>'
-            '<geom type="capsule" fromto="0 0 -0.02 0 0 -0.24" size="0.03" mass="1" contype="0" conaffinity="0"/>'
+            f"{limb(0.24, 1.0)}"
             f'<body name="{s}_shank" pos="0 0 -0.27"><joint name="{s}_knee" axis="0 1 0"/>'
-            '<geom type="capsule" fromto="0 0 -0.02 0 0 -0.2" size="0.03" mass="0.7" contype="0" conaffinity="0"/>'
+            f"{limb(0.2, 0.7)}"
             f'<body name="{s}_foot" pos="0 0 -0.28" {attributes}>{inside}</body></body></body>'
         )
         motors += "".join(f'<position joint="{s}_{j}"/>' for j in ("hip", "knee", "pitch", "roll"))
     attributes, inside = in_frame(root, trunk + legs)
     return (
-        f'<mujoco><option timestep="0.002" {option}/><asset>{assets}</asset><default><joint damping="1" armature="0.02"/>'
+        f'<mujoco><option timestep="0.002" {option}/><asset>{assets}</asset>'
+        '<default><joint damping="1" armature="0.02"/>'
         '<position kp="500" kv="12" ctrlrange="-1 1"/></default>'
-        f'<worldbody>{floor}<body name="base_link" pos="0 0 {height}" {attributes}><freejoint/>{inside}</body>'
-        f"</worldbody><actuator>{motors}</actuator>{end}</mujoco>"
+        f'<worldbody>{floor}<body name="base_link" pos="0 0 {height}" {attributes}><freejoint/>{inside}'
+        f"</body></worldbody><actuator>{motors}</actuator>{end}</mujoco>"
     )
 
 
@@ -290,7 +297,7 @@ ROBOTS = {
     "feet turned": biped(feet=21),
     "all turned": biped(WELDED, HEEL + TOE.format(""), root=31, feet=41),
     "weightless arms": biped(TRUNK + arms('gravcomp="1"')),
-    "grippers": biped(TRUNK + arms(hand=hand('type="slide" axis="1 0 0" range="0 0.02" limited="true"', 0.03))),
+    "grippers": biped(TRUNK + arms(hand=hand('type="slide" axis="1 0 0" range="0 0.02"', 0.03))),
     "ball wrists": biped(TRUNK + arms(hand=hand('type="ball" stiffness="2"', 0.05))),
     "keyframe": biped(end='<keyframe><key name="home" qpos="0 0 0.6 1 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>'),
     "floor of a box": biped(floor='<geom type="box" size="2 2 0.1" pos="0 0 -0.1"/>'),
@@ -311,7 +318,9 @@ def test_a_published_form_is_exact(form: str, tmp_path: Path) -> None:
     path = tmp_path / "robot.xml"
     path.write_text(text)
     bare = kind(str(path))
-    env = SelfCalibration(FootSensors(kind(str(path)), **PERFECT), errors=NO_ERRORS, show=("foot_raw", "vgrf"))
+    env = SelfCalibration(
+        FootSensors(kind(str(path)), **PERFECT), errors=NO_ERRORS, show=("foot_raw", "vgrf")
+    )
     for seed in (1, 2):
         bare.reset(seed=seed)
         env.reset(seed=seed)
@@ -347,7 +356,7 @@ def written(tmp_path: Path, text: str) -> str:
 
 
 def test_changes_by_a_script_that_kept_the_model_count(tmp_path: Path) -> None:
-    """The script's model is replaced by one with sensors; what it changes there from outside has its effect."""
+    """What a script changes in the model that was replaced counts in the one with sensors."""
     path = written(tmp_path, biped())
     bare, base = Own(path), Own(path)
     scripts = bare.model, base.model
@@ -399,16 +408,22 @@ def test_joints_without_encoders_are_named(tmp_path: Path) -> None:
     ankle = biped()
     for s in ("left", "right"):
         ankle = ankle.replace(f'<joint name="{s}_pitch" axis="0 1 0"/>', "")
-        ankle = ankle.replace(f'<joint name="{s}_roll" axis="1 0 0"/>', f'<joint name="{s}_roll" type="ball"/>')
+        ankle = ankle.replace(
+            f'<joint name="{s}_roll" axis="1 0 0"/>', f'<joint name="{s}_roll" type="ball"/>'
+        )
         for joint in ("pitch", "roll"):
             ankle = ankle.replace(f'<position joint="{s}_{joint}"/>', "")
     with pytest.raises(ValueError, match=r"and its feet; got \['left_roll', 'right_roll'\], of another kind"):
         SelfCalibration(FootSensors(Gymnasiums(written(tmp_path, ankle)), "perfect"))
     lift = WELDED.replace(TRUNK, '<joint name="lift" type="slide" axis="0 0 1" stiffness="9e4"/>' + TRUNK)
     lift = biped(LIGHT.format(1.0, 0.01, 0.01, 0.01) + lift)
-    with pytest.warns(UserWarning, match=r"joints \['lift'\] have no encoders: .* 5\d % of its mass, stays in"):
+    with pytest.warns(
+        UserWarning, match=r"joints \['lift'\] have no encoders: .* 5\d % of its mass, stays in"
+    ):
         SelfCalibration(FootSensors(Gymnasiums(written(tmp_path, lift)), "perfect"))
-    with pytest.warns(UserWarning, match=r"'gravcomp' of the bodies \['left_arm', 'right_arm'\] carries 17\.7 N"):
+    with pytest.warns(
+        UserWarning, match=r"'gravcomp' of the bodies \['left_arm', 'right_arm'\] carries 17\.7 N"
+    ):
         SelfCalibration(FootSensors(Gymnasiums(written(tmp_path, ROBOTS["weightless arms"])), "perfect"))
     with pytest.raises(ValueError, match="'gravcomp' of the robot's bodies carries all of its weight"):
         FootSensors(Gymnasiums(written(tmp_path, biped().replace("<body ", '<body gravcomp="1" '))))

@@ -23,8 +23,8 @@ except ModuleNotFoundError as missing:
     raise not_installed(__name__, missing, "rl") from None
 
 TRUE_ERROR: Final = "feet/true_cop_error_m"
-"""Error of the centre of pressure by the learnt map, against that by the true map of the same readings, root mean
-square over samples and both axes in m."""
+"""Root mean square difference in m, over samples and both axes, between the centres of pressure that the
+learnt map and the true map make of the same readings."""
 
 STATED_STD: Final = "feet/stated_cop_std_m"
 """Standard deviation of the same that the calibrator states, root mean square in m."""
@@ -49,9 +49,9 @@ class CalibrationLog(BaseCallback):
     | ``feet/flagged_channels/spike`` | share with this one, for each flag that was raised | 1 |
 
     The error is that of the map alone: the learnt and the true scales and offsets are applied to the same
-    readings. A consistent calibrator has about the same error and standard deviation. Neither contains the age
-    and the noise of the readings, which move the centre of pressure by more while a policy explores. A method
-    without a covariance has no standard deviation. Policy and calibrator never see the truth.
+    readings. A consistent calibrator has about the same error and standard deviation. Neither contains the
+    age and the noise of the readings, which move the centre of pressure by more while a policy explores. A
+    method without a covariance has no standard deviation. Policy and calibrator never see the truth.
 
     It goes with :class:`~surefoot.wrappers.vector.sb3.VecSelfCalibration` anywhere among the wrappers, or
     with :class:`~surefoot.wrappers.SelfCalibration` around each copy (without the last sample of an episode).

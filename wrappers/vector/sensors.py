@@ -97,7 +97,7 @@ class BatchSensors(OfOneVersion):
         self.equipment = Equipment(owner, self.drawing, joints, meaning.dt, given, meaning.seldom)
         if "foot_raw" in space.spaces:
             raise TypeError(
-                f"{owner} adds 'foot_raw' to the observation, which has a part of that name already."
+                f"{owner} adds 'foot_raw' to an observation that has a part of that name already."
             )
         state = {name: slice(start, stop) for name, start, stop in self._meaning.state}
         readings, packet = self.equipment.instruments.space, self.equipment.packet
