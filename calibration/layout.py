@@ -119,31 +119,11 @@ class FootLayout:
         >>> foot.wrench_map[2]
         array([1., 1., 1., 1.])
         """
-        position = np.asarray(position_cell_sole, dtype=np.float64)
-        if position.ndim != 2 or position.shape[0] in (0, 2) or position.shape[1] not in (2, 3):
-            raise ValueError(
-                f"Foot '{name}' needs one cell position or at least three, of shape (k, 2) or (k, 3), "
-                f"got shape {position.shape}: two cells do not determine a centre of pressure."
-            )
-        if not np.isfinite(position).all():
-            raise ValueError(f"The cell positions of foot '{name}' hold values that are not finite.")
-        if position.shape[1] == 2:
-            position = np.column_stack([position, np.zeros(len(position))])
+        position = _check_cells(name, position_cell_sole)
         single = len(position) == 1
-        spread = np.linalg.svd(position[:, :2] - position[:, :2].mean(axis=0), compute_uv=False)
-        if not single and spread[1] < 1e-6:
-            raise ValueError(
-                f"The cells of foot '{name}' lie on one line, so that the centre of pressure beside it "
-                "is not determined; check the positions (metres, sole frame)."
-            )
         if channel_names is None:
-            channel_names = (
-                LOAD_CELL_NAMES
-                if len(position) == 4
-                else ("fz",)
-                if single
-                else [f"cell-{i}" for i in range(len(position))]
-            )
+            usual = {1: ("fz",), 4: LOAD_CELL_NAMES}
+            channel_names = usual.get(len(position)) or [f"cell-{i}" for i in range(len(position))]
         x, y = position[:, 0], position[:, 1]
         zero = np.zeros_like(x)
         wrench_map = np.stack([zero, zero, np.ones_like(x), y, -x, zero])
@@ -332,6 +312,27 @@ def _check_rotation(foot: str, value: ArrayLike | None) -> Floats:
     if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
         raise ValueError(f"'R_sole_sensor' of foot '{foot}' must be a rotation of shape (3, 3), got {R}.")
     return R
+
+
+def _check_cells(name: str, position_cell_sole: ArrayLike) -> Floats:
+    """Return the places of a foot's cells, shape (k, 3); ValueError if they do not make a foot."""
+    position = np.asarray(position_cell_sole, dtype=np.float64)
+    if position.ndim != 2 or position.shape[0] in (0, 2) or position.shape[1] not in (2, 3):
+        raise ValueError(
+            f"Foot '{name}' needs one cell position or at least three, of shape (k, 2) or (k, 3), "
+            f"got shape {position.shape}: two cells do not determine a centre of pressure."
+        )
+    if not np.isfinite(position).all():
+        raise ValueError(f"The cell positions of foot '{name}' hold values that are not finite.")
+    if position.shape[1] == 2:
+        position = np.column_stack([position, np.zeros(len(position))])
+    spread = np.linalg.svd(position[:, :2] - position[:, :2].mean(axis=0), compute_uv=False)
+    if len(position) > 1 and spread[1] < 1e-6:
+        raise ValueError(
+            f"The cells of foot '{name}' lie on one line, so that the centre of pressure beside it "
+            "is not determined; check the positions (metres, sole frame)."
+        )
+    return position
 
 
 def _check_below(foot: str, mass: float, com: ArrayLike) -> tuple[float, Floats]:

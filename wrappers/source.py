@@ -6,6 +6,7 @@ from typing import Any, Protocol, TypeVar, cast
 import gymnasium as gym
 import mujoco
 from gymnasium import ObservationWrapper, spaces
+from gymnasium.vector import VectorWrapper
 from gymnasium.wrappers import FilterObservation
 
 from surefoot.envs import InstrumentedEnv, RobotDrawing
@@ -91,8 +92,8 @@ def refuse_second(owner: str, env: Any) -> None:
                 f"{owner} found {found} below it, and a robot's feet are read once; leave the outer one out, "
                 f"or put a calibrator around what is there. Got {env}."
             )
-        parts = getattr(below, "__dict__", {})
-        below = parts.get("env", parts.get("venv"))
+        wraps = isinstance(below, gym.Wrapper | VectorWrapper)
+        below = below.env if wraps else vars(below).get("venv") if hasattr(below, "__dict__") else None
 
 
 def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:

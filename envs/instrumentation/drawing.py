@@ -215,7 +215,7 @@ def skeleton(model: mujoco.MjModel, torso: str, sites: Mapping[str, Placed]) -> 
 
 
 def _gravcomp_caveat(model: mujoco.MjModel, root: int) -> str:
-    """Return what gravity compensation changes for the references of a robot; empty without it."""
+    """Describe the effect of gravity compensation on a robot's references; empty without any."""
     carried = model.body_gravcomp * model.body_mass * below(model, root)
     if not carried.any():
         return ""

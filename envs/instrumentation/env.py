@@ -1,4 +1,4 @@
-"""Any MuJoCo environment with sensors in its feet: the same episodes, and the truth besides."""
+"""Any MuJoCo environment with sensors in its feet: the same episodes, and the truth beside them."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -25,13 +25,16 @@ from surefoot.envs.instrumentation.trial import find_notice, measure_duration
 class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Any MuJoCo environment of a robot with feet, with the truth about them beside it.
 
-    Observation, reward and termination stay the environment's, bit for bit. Sensors are put into its model
-    (``unwrapped.model`` and ``unwrapped.data`` are replaced), behind its own, if it does not notice: copies
-    of it are stepped with and without them, and must show the same to the last bit
+    Observation, reward and termination stay the environment's, bit for bit. Sensors are added to its model
+    (``unwrapped.model`` and ``unwrapped.data`` are replaced) if the environment does not notice: copies are
+    stepped with and without them, and must show the same to the last bit
     (:func:`~surefoot.envs.instrumentation.trial.find_notice`). Then every substep of a control step is read,
-    from MuJoCo's own history of the sensors. An environment that would notice, or has no description of
-    its model, stays as it is; the same quantities are computed beside it, **once a control step**, at its
-    end. :attr:`untouched` says why, and a warning says so once.
+    from MuJoCo's own history of the sensors. The model is left alone if the environment would notice, refers
+    to it elsewhere (also in a closure), or has no description of it. The same quantities are then computed
+    beside it, **once per control step**, at its end. :attr:`untouched` has the reason, and a warning gives it
+    once.
+
+    Changes that other code makes, between two calls, to the model that was replaced are carried over.
 
     ``info["surefoot"]["truth"]`` holds means over the control step, see
     :func:`~surefoot.envs.instrumentation.means.mean_truth`.
@@ -199,7 +202,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         """Start an episode, and read the state in which it starts.
 
         Raises:
-            RuntimeError: If the environment has made another model, or has changed the one that was replaced.
+            RuntimeError: If the environment has made another model, or changed the one that was replaced.
         """
         self._carry_over()
         with self._reader.still():

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.envs.instrumentation.swap import carried, options, original_ids, public, put_array
+from surefoot.envs.instrumentation.swap import changeable_arrays, options, original_ids, public, put_array
 
 
 class ReplacedModel:
@@ -29,7 +29,7 @@ class ReplacedModel:
         self._prefix = prefix
         self._model = ref(old)
         # Views of an array outlive the model, and keep the array.
-        self._arrays = {name: ref(array) for name, array in carried(old)}
+        self._arrays = {name: ref(array) for name, array in changeable_arrays(old)}
         self._before: dict[str, Any] = {}
 
     def follow(self) -> bool:

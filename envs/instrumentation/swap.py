@@ -111,7 +111,7 @@ def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
     added.
     """
     kept = original_ids(new, prefix)
-    for name, value in carried(old):
+    for name, value in changeable_arrays(old):
         put_array(new, name, value, kept)
     for key in range(min(old.nkey, new.nkey)):
         # A description may add a keyframe in which the robot stands.
@@ -126,7 +126,7 @@ def carry_over(old: mujoco.MjModel, new: mujoco.MjModel, prefix: str) -> None:
                 setattr(theirs, name, value)
 
 
-def carried(model: mujoco.MjModel) -> Iterator[tuple[str, NDArray[Any]]]:
+def changeable_arrays(model: mujoco.MjModel) -> Iterator[tuple[str, NDArray[Any]]]:
     """List the arrays of a model that an environment may change, by their names."""
     for name, value in public(model):
         if (

@@ -1,4 +1,4 @@
-"""How wrong a robot is about itself."""
+"""Errors in a robot's model of itself: mass, centre of mass, and the map of a calibrated start."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,12 +9,13 @@ from surefoot.sensors.configuration import NotNegative, check_fields, from_mappi
 
 @dataclass(frozen=True)
 class BeliefErrors:
-    """Sizes of a robot's errors about itself; the errors are drawn when its beliefs are fresh.
+    """Sizes of the errors in a robot's model of itself, which are drawn when its beliefs are fresh.
 
     Attributes:
         mass: Relative error of the total mass. Its sign is drawn, and each link's mass is drawn with this
             relative spread besides.
-        com: Distance in m by which the believed centre of mass is off, in a direction that is drawn.
+        com: Distance in m by which the believed centre of mass of each body is off, in one direction that is
+            drawn; in the zero pose that of the whole robot is off by the same.
         scale: Relative standard deviation of a scale of a calibrated start.
         offset: Standard deviation of an offset of a calibrated start in N.
 
@@ -34,7 +35,7 @@ class BeliefErrors:
         check_fields(self)
 
 
-USUAL: Final = BeliefErrors()  # what a robot is wrong by unless something else is given
+USUAL: Final = BeliefErrors()  # used where no errors are given
 
 NO_ERRORS: Final = BeliefErrors(mass=0.0, com=0.0, scale=0.0, offset=0.0)
 """A robot that knows itself."""

@@ -33,8 +33,6 @@ FLAGGED: Final = "feet/flagged_channels"
 """Share of channels with any flag, over samples; behind a slash, that with one of them."""
 
 
-_SOLES: Final = ("position_sole", "R_level_sole")
-
 _BITS: Final = np.array([sum(Flag), *Flag])
 
 
@@ -90,10 +88,12 @@ class CalibrationLog(BaseCallback):
         if self.n_calls % self._every or not (samples := list(self._samples())):
             return True
         estimates, references, readings, maps = zip(*samples, strict=True)
-        soles = [np.array([getattr(own, name) for own in references]) for name in _SOLES]
+        position, R = (
+            np.array([getattr(own, name) for own in references]) for name in ("position_sole", "R_level_sole")
+        )
         raw = np.array(readings)
         learnt, true = (
-            cop_of_feet(sole_wrenches(np.array(scale) * raw + np.array(offset), self._layout), *soles)
+            cop_of_feet(sole_wrenches(np.array(scale) * raw + np.array(offset), self._layout), position, R)
             for scale, offset in (
                 zip(*((own.scale, own.offset) for own in estimates), strict=True),
                 zip(*maps, strict=True),
