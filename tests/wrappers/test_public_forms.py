@@ -13,9 +13,16 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.vector import SyncVectorEnv
 
 from surefoot.robot.beliefs.errors import NO_ERRORS
-from surefoot.wrappers import FootSensors, SelfCalibration
+from surefoot.wrappers import (
+    FootSensors,
+    SelfCalibration,
+    TruthRow,
+    VectorFootSensors,
+    VectorSelfCalibration,
+)
 
 BOX = '<geom type="box" size="0.08 0.035 0.012" pos="0.02 0 -0.038" mass="0.5"/>'
 TRUNK = '<geom type="box" size="0.07 0.09 0.12" pos="0.01 0 0.12" mass="7"/>'
@@ -427,3 +434,18 @@ def test_joints_without_encoders_are_named(tmp_path: Path) -> None:
         SelfCalibration(FootSensors(Gymnasiums(written(tmp_path, ROBOTS["weightless arms"])), "perfect"))
     with pytest.raises(ValueError, match="'gravcomp' of the robot's bodies carries all of its weight"):
         FootSensors(Gymnasiums(written(tmp_path, biped().replace("<body ", '<body gravcomp="1" '))))
+
+
+@pytest.mark.parametrize("kind", [TimestepIsDt, Decimation])
+def test_vectors_of_published_forms_know_how_long_a_step_lasts(kind: Any, tmp_path: Path) -> None:
+    path = written(tmp_path, biped())
+    envs = SyncVectorEnv([lambda: TruthRow(kind(path))] * 2)
+    env = VectorSelfCalibration(VectorFootSensors(envs, **PERFECT), errors=NO_ERRORS)
+    env.reset(seed=0)
+    for _ in range(60):
+        *_, infos = env.step(np.zeros((2, 8)))
+    assert env.env.sensors.time.tolist() == pytest.approx([0.6, 0.6])
+    weight = 9.81 * envs.envs[0].unwrapped.model.body_mass.sum()
+    truth = infos["surefoot"]["truth"]["vgrf"]
+    np.testing.assert_allclose(truth.sum(axis=1), weight, rtol=0.01)
+    np.testing.assert_allclose(infos["surefoot"]["vgrf"], truth, atol=0.01 * weight)
