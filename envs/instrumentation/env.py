@@ -237,12 +237,13 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
     def _check_model(self) -> None:
         """Follow the environment to other data; raise RuntimeError if it uses or changes another model."""
         base, name = self._base, type(self._base).__name__
-        if base.model is not self._model or getattr(base.data, "model", self._model) is not self._model:
+        other_data = base.data is not self._data
+        if base.model is not self._model or (other_data and base.data.model is not self._model):
             raise RuntimeError(
                 f"{name} has made another model at a reset, so that its feet are not measured any more. Let "
                 "it change the numbers of its model instead, or wrap it again after each reset."
             )
-        if base.data is not self._data:
+        if other_data:
             self._data = base.data
             if not isinstance(base, _Physics):
                 put_in(base, self._model, self._data)  # in its renderer
