@@ -171,8 +171,8 @@ def check_clock(owner: str, env: Any, passed: float, dt: float, source: Any = No
     if abs(passed - dt) > CLOCK_TOLERANCE * dt:
         raise RuntimeError(
             f"A step of {env} took {passed:g} s of simulated time, but its dt is {dt:g} s; put whatever "
-            f"repeats or skips steps, or resets by itself, around {owner}, and give an environment of your "
-            "own the attribute 'dt' or 'frame_skip'."
+            f"repeats or skips steps, or resets by itself, around {owner}. Each step of an environment of "
+            "your own must make the same number of physics steps."
         )
     return late
 

@@ -103,7 +103,7 @@ class NominalModel:
         self._errors = errors
         unmeasured = _strip(spec, sites)
         model = spec.compile()
-        if warning := _warn_of_unmeasured(model, unmeasured):
+        if warning := _warning_of_unmeasured(model, *unmeasured):
             warnings.warn(warning, stacklevel=2)
         self.gravity = float(np.linalg.norm(model.opt.gravity))
         self._torso = model.body(torso).id
@@ -253,39 +253,41 @@ def _rotations(quaternions: Floats) -> Floats:
     return matrices.reshape(-1, 3, 3)
 
 
-def _strip(spec: mujoco.MjSpec, sites: tuple[str, ...]) -> dict[str, set[str]]:
+def _strip(spec: mujoco.MjSpec, sites: tuple[str, ...]) -> tuple[list[str], list[Any]]:
     """Leave the bodies, the hinges and some sites only; return the joints that were taken out.
 
     Slide and ball joints that carry no site, such as those of grippers, have no encoders: what they move
-    stays in its zero position. The returned mapping has the bodies that each joint moves, by its name.
+    stays in its zero position. Their names are returned, and the bodies that they move.
     """
     names = [site.name for site in spec.sites]
     if lacking := [name for name in sites if name not in names]:
         raise ValueError(f"The robot has no site '{lacking[0]}'; it has {names}.")
-    parts = ("geoms", "actuators", "sensors", "equalities", "pairs", "keys", "cameras", "lights")
+    parts = ("geoms", "actuators", "sensors", "equalities", "tendons", "pairs", "keys", "cameras", "lights")
     for part in parts:
         for element in list(getattr(spec, part)):
             spec.delete(element)
     for site in list(spec.sites):
         if site.name not in sites:
             spec.delete(site)
-    unmeasured = {}
+    unmeasured: list[str] = []
+    moved: list[Any] = []
     for joint in list(spec.joints):
         if joint.type in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL):
             body = joint.parent
             if not body.find_all("site"):
-                unmeasured[joint.name] = {body.name, *(part.name for part in body.find_all("body"))}
+                unmeasured.append(joint.name)
+                moved += [body, *body.find_all("body")]
                 spec.delete(joint)
-    return unmeasured
+    return unmeasured, moved
 
 
-def _warn_of_unmeasured(model: mujoco.MjModel, unmeasured: dict[str, set[str]]) -> str:
+def _warning_of_unmeasured(model: mujoco.MjModel, joints: list[str], moved: list[Any]) -> str:
     """Return a warning of joints without encoders that move more than a hand; empty if they do not."""
-    moved = set().union(*unmeasured.values())
-    share = sum(model.body(name).mass[0] for name in moved) / model.body_mass.sum()
+    bodies = list({body.id for body in moved})
+    share = model.body_mass[bodies].sum() / model.body_mass.sum()
     if share <= LEAST_MOVED:
         return ""
     return (
-        f"The slide and ball joints {list(unmeasured)} have no encoders: the robot believes that what they "
-        f"move, {100.0 * share:.0f} % of its mass, stays in its zero position. Use hinges, or lock them."
+        f"The slide and ball joints {joints} have no encoders: the robot believes that what they move, "
+        f"{100.0 * share:.0f} % of its mass, stays in its zero position. Use hinges, or lock these joints."
     )

@@ -209,6 +209,9 @@ def test_a_published_form_is_exact(form: str, tmp_path: Path) -> None:
             read.append(seen["foot_raw"] - told["truth"]["force_cell"])
         np.testing.assert_array_equal(env.unwrapped.data.qpos, bare.data.qpos)
         np.testing.assert_array_equal(env.unwrapped.model.body_mass, bare.model.body_mass)
+        left_alone = env.get_wrapper_attr("untouched")
+        assert len(env.get_wrapper_attr("truth").rows) == (1 if left_alone else 5)
+        assert not left_alone or "holds a view of it" in left_alone
         drawing, model = env.get_wrapper_attr("drawing"), bare.model
         assert env.get_wrapper_attr("dt") == pytest.approx(bare.data.time - before)
         assert drawing.feet == ("left_foot", "right_foot")
