@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.arrays import Floats, take_rows
+from surefoot.arrays import Floats, RowCollector, take_rows
 from surefoot.calibration.checks import ONE_ROBOT, check_kind, check_value
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.foot_calibrator import FootCalibrator
@@ -79,27 +79,26 @@ def replay(
     if cutoff is not None:
         learnt_from = _filter_plausible(readings, *front_end.plausible, cutoff, nominal)
         learnt_with = _filter_accelerations(log, cutoff, nominal)
-    estimates = [
-        calibrator.update(learnt_from[k], take_rows(learnt_with, k), float(steps[k]))
-        for k in watch(range(len(readings)))
-    ]
-    if cutoff is not None:
-        estimates = _estimate_by_maps(front_end, readings, log, steps, estimates)
-    columns: list[Any] = list(zip(*estimates, strict=True))
-    return Estimate(*(None if column[0] is None else np.stack(column) for column in columns))
+    found = RowCollector(len(readings), held=("covariance",))
+    for k in watch(range(len(readings))):
+        found.put(k, calibrator.update(learnt_from[k], take_rows(learnt_with, k), float(steps[k])))
+    estimate: Estimate = found.collect()
+    return estimate if cutoff is None else _estimate_by_maps(front_end, readings, log, steps, estimate)
 
 
 def _estimate_by_maps(
-    front_end: FrontEnd, readings: Floats, log: Any, steps: Any, learnt: list[Estimate]
-) -> list[Estimate]:
-    """Return the estimates of readings as they are, by maps that were learnt from filtered ones."""
-    front, found = front_end.init(readings[0]), []
-    for k, one in enumerate(learnt):
+    front_end: FrontEnd, readings: Floats, log: Any, steps: Any, learnt: Estimate
+) -> Estimate:
+    """Return the estimates of the unfiltered readings by maps that were learnt from filtered ones."""
+    front, found = front_end.init(readings[0]), RowCollector(len(readings), held=("covariance",))
+    for k in range(len(readings)):
+        one = take_rows(learnt, k)
         front, sample = front_end.observe(front, readings[k], take_rows(log, k), float(steps[k]))
         own = Parameters(one.scale, one.offset).relative_to(front_end.setup.initial)
         estimate = front_end.estimate(sample, *own, covariance=one.covariance)
-        found.append(estimate._replace(flags=one.flags | sample.flags))
-    return found
+        found.put(k, estimate._replace(flags=one.flags | sample.flags))
+    whole: Estimate = found.collect()
+    return whole
 
 
 def _check_log(layout: FeetLayout, readings: Floats, reference: Any, dt: Any) -> tuple[Any, Floats]:

@@ -98,14 +98,23 @@ def columns_of(log: Any) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def fields_of(values: dict[str, Floats], layout: FeetLayout, part: str) -> dict[str, Any]:
-    """Return the fields of ``"reference"``, ``"truth"`` or, but for contacts, ``"momentum"``."""
+def fields_of(
+    values: dict[str, Floats], layout: FeetLayout, part: str, reference: Any = None
+) -> dict[str, Any]:
+    """Return the fields of ``"reference"``, ``"truth"`` or, but for contacts, ``"momentum"``.
+
+    Poses of the soles that are those of the ``reference`` share its arrays, which are most of a log.
+    """
     named = _names_by_field(layout, part)
+    pose_names = named.pop(_POSE)
     found: dict[str, Any] = {field: stack(values, names) for field, names in named.items()}
-    poses = found.pop(_POSE)
-    poses = poses.reshape(len(poses), -1, 7)
+    pairs = zip(pose_names, _pose_names(layout, "reference"), strict=True)
+    if reference is not None and all(np.array_equal(values[one], values[other]) for one, other in pairs):
+        return found | {"position_sole": reference.position_sole, "R_level_sole": reference.R_level_sole}
+    flat = stack(values, pose_names)
+    poses = flat.reshape(len(flat), -1, 7)
     R = Rotation.from_quat(poses[..., [4, 5, 6, 3]].reshape(-1, 4)).as_matrix()
-    found["position_sole"] = poses[..., :3]
+    found["position_sole"] = poses[..., :3].copy()
     found[_rotation(part)] = R.reshape(*poses.shape[:2], 3, 3)
     return found | {phase: found[phase] > 0.5 for phase in PHASES if phase in found}
 

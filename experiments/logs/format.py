@@ -191,8 +191,8 @@ def read_log(
         reference, more, about = Reference(**fields_of(values, layout, "reference")), {}, {}
         check_reference(reference, path.name)
         if "momentum" in kinds:
-            contacts_too = {phase: getattr(reference, phase) for phase in PHASES}
-            more["momentum"] = MomentumReference(**fields_of(values, layout, "momentum"), **contacts_too)
+            shared = {phase: getattr(reference, phase) for phase in PHASES}
+            more["momentum"] = MomentumReference(**fields_of(values, layout, "momentum", reference), **shared)
     about |= {"notices": table.notices} if table.notices else {}
     curved = {"curves": curves.as_plain()} if curves.any else {}
     facts |= {**more, "about": facts["about"] | curved | about}
@@ -202,6 +202,8 @@ def read_log(
             facts["nominal"], raw[: len(raw) - late], swing[late:], layout, path.name
         )
     truth = LogTruth(**fields_of(values, layout, "truth")) if "truth" in kinds else None
+    del table, moved, values
+    pa.default_memory_pool().release_unused()  # as large as the log, and of no use to NumPy
     return Log(time=time, raw=raw, reference=reference, truth=truth, **facts)
 
 

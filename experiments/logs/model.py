@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.arrays import Floats, stack_rows
+from surefoot.arrays import Floats, RowCollector
 from surefoot.calibration import FeetLayout, MomentumReference, Reference
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.motion import Motion
@@ -165,10 +165,11 @@ def make_beliefs(
     place = np.searchsorted(motion.time, moments)
     known = _has_neighbours(motion, place)
     nobody = np.zeros(2, dtype=bool)
-    rows: list[tuple[Reference, MomentumReference]] = []
+    references, momenta = RowCollector(len(time)), RowCollector(len(time))
     fed, values = 0, np.zeros(where.size)
     ahead = AHEAD + ceil(0.5 * dt / motion.period)
-    for moment, row, fine in zip(moments.tolist(), place.tolist(), known.tolist(), strict=True):
+    whole = zip(moments.tolist(), place.tolist(), known.tolist(), strict=True)
+    for i, (moment, row, fine) in enumerate(whole):
         while fed < min(row + ahead, len(motion.time)):
             values[where.joint_position] = motion.joint[fed]
             values[where.accelerometer], values[where.gyroscope] = (
@@ -177,11 +178,10 @@ def make_beliefs(
             )
             beliefs.update((Packet(int(motion.number[fed]), float(motion.time[fed]), values.copy()),))
             fed += 1
-        if fine:
-            rows.append((beliefs.reference(moment, nobody, nobody), beliefs.momentum(moment, nobody, nobody)))
-        else:
-            rows.append((nothing(2), unknown(2)))
-    reference, momentum = map(stack_rows, zip(*rows, strict=True))
+        references.put(i, beliefs.reference(moment, nobody, nobody) if fine else nothing(2))
+        momenta.put(i, beliefs.momentum(moment, nobody, nobody) if fine else unknown(2))
+    reference: Reference = references.collect()
+    momentum: MomentumReference = momenta.collect()
     scale = mass / model.mass
     return (
         reference._replace(angular_momentum_rate=scale * reference.angular_momentum_rate),

@@ -67,6 +67,8 @@ def _late_references(log: Log) -> Reference:
     sound = np.ones(len(log) - log.lag, dtype=bool)
     for part in late:
         sound &= np.all(np.abs(part.reshape(len(part), -1)) <= LARGEST, axis=1)
+    if sound.all():
+        return late  # without a copy, which would be as large as the log
 
     def blank(part: NDArray[Any]) -> NDArray[Any]:
         keep = sound.reshape(-1, *[1] * (part.ndim - 1))

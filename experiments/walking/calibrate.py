@@ -1,8 +1,9 @@
 """Calibrate one log by one method, and write the result: a table, the last parameters and a page."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 import surefoot
+from surefoot.arrays import take_rows
 from surefoot.calibration import Estimate, Parameters
 from surefoot.calibration.setup import method_name
 from surefoot.experiments.logs.checks import pass_or_refuse
@@ -28,6 +30,8 @@ from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_ta
 from surefoot.experiments.walks.replay import replay_log, standing_weights, starting_map, with_map
 from surefoot.files import atomic_path, write_text
 from surefoot.names import plain_name
+
+WRITTEN = 1 << 12  # rows of the result that are written at once: some megabytes
 
 
 @dataclass(frozen=True)
@@ -102,7 +106,7 @@ def calibrate_log(
     tables = (parameter_table(facts), *terminal_tables(facts))
     walk, parameters, page = (folder / f"{stem}.{plain}.{end}" for end in ("parquet", "json", "html"))
     with atomic_path(walk) as part:
-        pq.write_table(pa.table(_walk_columns(facts)), part)
+        _write_walk(part, facts)
     write_text(parameters, json.dumps(_last(facts), indent=1))
     with working("drawing the report"):
         write_walking_page(page, facts)
@@ -133,6 +137,17 @@ def _judge(log: Log, start: str, initial: Parameters, file: str, accept: str) ->
     if accept and not passed:
         passed = ("Nothing was refused, so that no reason was needed to go on.",)
     return passed + weaker
+
+
+def _write_walk(path: Path, facts: Facts) -> None:
+    """Write the table of every sample in blocks of rows, so that memory never holds all columns at once."""
+    blocks = (slice(first, first + WRITTEN) for first in range(0, len(facts.log), WRITTEN))
+    parts = (replace(facts, log=facts.log.cut(rows), estimate=take_rows(facts.estimate, rows)) for rows in blocks)
+    tables = (pa.table(_walk_columns(part)) for part in parts)
+    first = next(tables)
+    with pq.ParquetWriter(path, first.schema) as writer:
+        for table in chain((first,), tables):
+            writer.write_table(table)
 
 
 def _walk_columns(facts: Facts) -> dict[str, NDArray[Any]]:
@@ -183,12 +198,12 @@ def standard_deviations(estimate: Estimate, initial: Parameters) -> Parameters |
     """
     if estimate.covariance is None:
         return None
-    covariance = np.asarray(estimate.covariance)
+    covariance = estimate.covariance
     K = covariance.shape[-1] // 2
     a = np.arange(K)
     b = a + K
     scale, offset = np.asarray(initial.scale), np.asarray(initial.offset)
-    aa, ab, bb = covariance[..., a, a], covariance[..., a, b], covariance[..., b, b]
+    aa, ab, bb = covariance[:, a, a], covariance[:, a, b], covariance[:, b, b]
     variance = offset**2 * aa + 2.0 * offset * ab + bb
     return Parameters(np.abs(scale) * np.sqrt(aa), np.sqrt(np.maximum(variance, 0.0)))
 

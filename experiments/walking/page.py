@@ -29,6 +29,7 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#
 _ASKED = look_of("reference")._replace(label="what the motion asks for", line="-")
 
 _LONG = 2000  # points from which a line is an image within the SVG, which would grow with it
+_COLUMNS = 2000  # columns of a figure in which a line is drawn from its least to its greatest value
 
 
 def force_of_feet(path: Path, facts: Facts) -> Path:
@@ -104,7 +105,9 @@ def parameters_over_time(path: Path, facts: Facts) -> Path:
                         half = std[:, where][:, i]
                         band = {"color": look.colour, "alpha": 0.18, "linewidth": 0}
                         long = len(line) > _LONG
-                        axes.fill_between(log.time, line - half, line + half, rasterized=long, **band)
+                        axes.fill_between(
+                            *_extremes(log.time, line - half, line + half), rasterized=long, **band
+                        )
             column[0].set_title(f"{foot.name} foot")
         name_axes(panels, "time (s)", "scale, against the start (%)", "offset, against the start (N)")
         legend_below(figure, panels[0, 0])
@@ -147,7 +150,17 @@ def _sides(facts: Facts) -> list[tuple[Floats, Look]]:
 
 def _line(axes: Axes, time: Floats, values: Floats, look: Look) -> None:
     style: Any = {"color": look.colour, "linestyle": look.line, "label": look.label}
+    size = len(time) // _COLUMNS
+    if size > 2:
+        time, low, high = _extremes(time, values, values)
+        time, values = np.repeat(time, 2), np.column_stack([low, high]).ravel()
     axes.plot(time, values, linewidth=1.0, rasterized=len(time) > _LONG, **style)
+
+
+def _extremes(time: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the least and greatest values of a band in each column of a figure; short bands unchanged."""
+    starts = np.arange(0, len(time), max(len(time) // _COLUMNS, 1))
+    return time[starts], np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
 
 
 _say, _caption = Words("walking"), Words("walking", "captions")

@@ -64,7 +64,8 @@ class Facts:
         ratio = estimate.scale / initial.scale
         std: tuple[Floats | None, Floats | None] = (None, None)
         if estimate.covariance is not None:
-            variance, K = np.diagonal(np.asarray(estimate.covariance), axis1=1, axis2=2), ratio.shape[1]
+            K = ratio.shape[1]
+            variance = estimate.covariance[:, np.arange(2 * K), np.arange(2 * K)]
             both = np.sqrt(np.maximum(variance, 0.0))
             std = (100 * both[:, :K], both[:, K:])
         return MapChange(100 * (ratio - 1), estimate.offset - ratio * initial.offset, std)
