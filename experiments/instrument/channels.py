@@ -24,8 +24,10 @@ from surefoot.experiments.instrument.noise import (
     step_of,
 )
 from surefoot.experiments.instrument.recording import Recording
-from surefoot.experiments.logs.checks import SLOWEST, find_gaps, unit_of_times
+from surefoot.experiments.logs.checks import RESTARTED, SPLIT
+from surefoot.experiments.logs.clock import SLOWEST, find_gaps, unit_of_times
 from surefoot.experiments.study.page import Words
+from surefoot.experiments.study.tables import sentence
 
 _settle = Words("instrument", "settle")
 
@@ -156,7 +158,7 @@ def find_wrong_channels(recording: Recording, facts: list[ChannelFacts]) -> Iter
 
 
 def _check_clock(recording: Recording) -> Iterator[Wrong]:
-    time, steps = recording.time, np.diff(recording.time)
+    time, steps, walks = recording.time, np.diff(recording.time), recording.kind != "channels"
     if not np.isfinite(time).all():
         row, lacking = int(np.argmin(np.isfinite(time))), np.isnan(time).all()
         reason = f"Column 'time_s' is {time[row]} at row {row}."
@@ -166,17 +168,21 @@ def _check_clock(recording: Recording) -> Iterator[Wrong]:
         cure = f"Give time_s, or in {toml} under [rates] the rows a second; weighings need load_kg."
         yield _wrong(recording, row, Finding("clock", reason, cure, refuses=not lacking))
         return
-    if not (steps > 0.0).all() and len(steps):
-        row, many = int(np.argmin(steps > 0.0)) + 1, int((steps <= 0.0).sum())
-        more = f", nor at {many - 1} others" if many > 1 else ""
-        reason, cure = f"Times do not increase at row {row}{more}.", "Sort the rows, and drop repeated times."
-        yield _wrong(recording, row, Finding("clock", reason, cure))
+    clock = recording.clock
+    if clock is not None and clock.flaw and len(steps):
+        reason = f"Column 'time_s' {clock.flaw}."
+        yield _wrong(recording, clock.row, Finding("clock", reason, sentence(clock.cure)))
+    elif clock is not None and clock.restart:
+        reason, _, cure = f"Column 'time_s' {clock.restart}{RESTARTED}{SPLIT}".partition(". ")
+        yield _wrong(recording, clock.row, Finding("clock", f"{reason}.", cure, refuses=walks))
     if not (steps > 0.0).any():
         return
-    usual, walks = float(np.median(steps)), recording.kind != "channels"
+    usual = float(np.median(steps))
     gaps = find_gaps(steps) if walks and usual < SLOWEST else find_leaps(time)
+    if clock is not None:
+        gaps[[first - 1 for first in clock.sessions[1:]]] = False
     if gaps.any() and (steps >= 0.0).all():
-        reason = f"The clock leaps {gaps.sum()} times, by {steps.max():.3g} s at most."
+        reason = f"The clock leaps {gaps.sum()} times, by {steps[gaps].max():.3g} s at most."
         finding = Finding("gaps", reason, "Calibrate parts one by one, or with --split-gaps.", refuses=walks)
         yield _wrong(recording, int(np.argmax(gaps)) + 1, finding)
     if usual >= SLOWEST:

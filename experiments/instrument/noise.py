@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from surefoot.arrays import Floats
-from surefoot.experiments.logs.format import MAX_GAP
+from surefoot.experiments.logs.clock import MAX_GAP
 
 FEWEST = 16  # samples of a stretch at rest: shorter ones show no more than their own slope
 BLOCK = 0.5  # s in which a channel rests or does not

@@ -13,6 +13,7 @@ from surefoot.experiments.force_torque.config import Columns, config_beside
 from surefoot.experiments.force_torque.log import InSituLog, read_in_situ_log
 from surefoot.experiments.instrument.noise import BLOCK
 from surefoot.experiments.logs.bag import is_bag, read_bag
+from surefoot.experiments.logs.clock import Clock, read_clock
 from surefoot.experiments.logs.columns import LOADS, raw_names_of
 from surefoot.experiments.logs.contacts import FELT
 from surefoot.experiments.logs.format import METADATA_KEY, Log, read_log
@@ -36,6 +37,7 @@ class Recording:
     read: Log | InSituLog | None = None  # what its own command makes of it
     refusal: str = ""  # why its own command cannot read it
     notices: tuple[str, ...] = ()
+    clock: Clock | None = None  # what was found of the times, if rows have any
 
     @property
     def has_times(self) -> bool:
@@ -115,6 +117,7 @@ def _walk(path: Path, table: LogTable, topics: Path | None) -> Recording:
         scale=np.asarray(read.nominal.scale),
         read=read,
         notices=tuple(read.about.get("notices", ())),
+        clock=read_clock(table.numbers("time_s")),
     )
 
 
@@ -144,10 +147,13 @@ def _channels(table: LogTable, kind: str, loads: Sequence[str]) -> Recording:
         )
         raise LogError(f"{table.file}: holds no column 'raw_<channel>_count'; {there}")
     raw = table.stack_columns(names)
-    time = table.numbers("time_s") if "time_s" in table else np.full(len(raw), np.nan)
+    clock = read_clock(table.numbers("time_s")) if "time_s" in table else None
+    time = np.full(len(raw), np.nan) if clock is None else clock.time
+    found = () if clock is None else tuple(f"{table.file}: column 'time_s' {text}." for text in clock.notices)
     load: Floats | None = None
     if loads:
         one = table.numbers(loads[0]) * LOADS[loads[0]]
         load = np.repeat(one[:, None], len(names), axis=1)
     unloaded = np.zeros(raw.shape, dtype=bool) if load is None else load == 0.0
-    return Recording(table.file, kind, names, time, raw, unloaded, load, notices=table.notices)
+    told = {"notices": table.notices + found, "clock": clock}
+    return Recording(table.file, kind, names, time, raw, unloaded, load, **told)

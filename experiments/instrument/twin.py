@@ -16,7 +16,7 @@ from surefoot.experiments.instrument.noise import FEWEST, Conversions, conversio
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.instrument.response import Response, respond
 from surefoot.experiments.instrument.rest import SURE, AtRest, Interval, fit_at_rest, normal_interval
-from surefoot.experiments.logs.checks import check_increasing
+from surefoot.experiments.logs.checks import clock_of
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.tables import Table, Verdict, number, span
 from surefoot.files import write_text
@@ -121,7 +121,7 @@ def _check(recording: Recording, capacity: float | None, heaviest: float) -> Non
             f"{recording.file}: is of a six-axis sensor, and twins are made of load cells.",
             "'surefoot check' shows its noise and drift, 'surefoot calibrate ft' its matrix and offset.",
         )
-    check_increasing(recording.time, recording.file)
+    clock_of(recording.time, recording.file)
     if recording.refusal:
         raise LogError(recording.refusal)
     if capacity and capacity * OVERLOAD < heaviest:

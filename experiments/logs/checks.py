@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surefoot.arrays import Floats
 from surefoot.calibration import CalibrationRefused
@@ -13,6 +12,7 @@ from surefoot.calibration.front_end.motion import FARTHEST
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.results import Finding, decide
+from surefoot.experiments.logs.clock import SLOWEST, Clock, find_gaps, read_clock, unit_of_times
 from surefoot.experiments.logs.table import LogError, LogTable, join_names
 from surefoot.names import page
 
@@ -21,9 +21,6 @@ LISTED = f"{page('log-format')} lists every column and its unit."
 OF_USE = re.compile(r"(raw|reference|momentum|truth|command|joint|accelerometer|gyroscope)_.*|packet|time_s")
 """Columns of a walk; others may hold anything."""
 
-MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's filters do not bridge more
-SLOWEST = 1.0  # s between two rows of a log of feet from which on its times are in another unit
-CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # units of time besides seconds, in s
 LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
 
 
@@ -77,11 +74,30 @@ def _check_quaternion(values: dict[str, Floats], stem: str, file: str) -> None:
         )
 
 
+def clock_of(stamps: Floats, file: str, *, spread: bool = True, joined: bool | None = None) -> Clock:
+    """Read a column of times in s, (N,); LogError if it has a flaw, or several sessions that are not ``joined``.
+
+    ``joined`` is ``None`` where no option joins them; ``spread`` is that of :func:`read_clock`.
+    """
+    clock, at = read_clock(stamps, spread=spread), f"{file}: column 'time_s'"
+    if clock.flaw:
+        raise LogError(f"{at} {clock.flaw}; {clock.cure}")
+    if clock.restart and not joined:
+        raise LogError(f"{at} {clock.restart}{RESTARTED}{'.' if joined is None else SPLIT}")
+    return clock
+
+
+RESTARTED = (
+    ", as when a logger was restarted. Sorting would mix the sessions: cut the file there and calibrate the "
+    "parts one by one"
+)
+SPLIT = ", or keep them apart with --split-gaps."
+
+
 def check_time(time: Floats, dt: float, max_gap: float, file: str) -> None:
-    """Raise LogError if times in s, shape (N,), leap or do not step as the description says."""
-    leaps = _say_leaps(np.diff(time), max_gap)
-    check_increasing(time, file, besides=f" It also {leaps}" if leaps else "")
+    """Raise LogError if times in s, shape (N,), which increase, leap or do not step as the description says."""
     step = np.diff(time)
+    leaps = _say_leaps(step, max_gap)
     median = float(np.median(step))
     disagrees = abs(median / dt - 1.0) > 0.1
     if disagrees or median >= SLOWEST:
@@ -98,23 +114,10 @@ def check_time(time: Floats, dt: float, max_gap: float, file: str) -> None:
         raise LogError(f"{file}: column 'time_s' {leaps}")
 
 
-def unit_of_times(step: float, dt: float = np.nan) -> str:
-    """Return the unit of times of which a step is ``dt`` s or, by default, one of feet; "" if none fits."""
-    for unit, one in CLOCKS.items():
-        if step * one <= 2.0 * MAX_GAP if np.isnan(dt) else abs(step * one / dt - 1.0) < 0.1:
-            return unit
-    return ""
-
-
-def find_gaps(step: Floats, max_gap: float = MAX_GAP) -> NDArray[np.bool_]:
-    """Return which steps of time in s are longer than a log may have, of the same shape."""
-    return np.asarray(step > max_gap + 1e-6)  # seconds since 1970 are as coarse as that
-
-
 def _say_leaps(step: Floats, max_gap: float) -> str:
-    """Return how time leaps, "" if it does not or rows are out of order, and the cure."""
+    """Return how time leaps, "" if it does not, and the cure."""
     leaps = find_gaps(step, max_gap)
-    if not leaps.any() or not (step >= 0.0).all():
+    if not leaps.any():
         return ""
     row, many = int(np.argmax(leaps)) + 1, int(leaps.sum())
     more = f"; {many} such rows in all, the longest by {step.max():.3g} s" if many > 1 else ""
@@ -139,26 +142,6 @@ def check_load_cells(layout: FeetLayout, what: str) -> None:
     """Raise LogError unless a layout is of two feet on load cells, which the live page shows."""
     if len(layout.feet) != 2 or any(foot.position_cell_sole is None for foot in layout.feet):
         raise LogError(f"The page shows two feet on load cells, and this {what} has others.")
-
-
-def check_increasing(time: Floats, file: str, *, repeats: bool = False, besides: str = "") -> None:
-    """Raise LogError if times are not increasing; with ``repeats`` packets that arrive together may be.
-
-    ``besides`` is a sentence that is said besides.
-    """
-    if len(time) < 2:
-        raise LogError(f"{file}: one row alone is no log; record some seconds.")
-    # Written so that a NaN, which compares as neither, is refused as well.
-    step = np.diff(time)
-    wrong = ~((step >= 0) if repeats else (step > 0))
-    if wrong.any():
-        row = int(np.argmax(wrong)) + 1
-        cure = "sort the rows" if repeats else "sort the rows and drop repeated times"
-        more = f"; {wrong.sum()} such rows in all" if wrong.sum() > 1 else ""
-        raise LogError(
-            f"{file}: column 'time_s' does not increase at row {row} "
-            f"({time[row - 1]:.13g} s, then {time[row]:.13g} s{more}); {cure}.{besides}"
-        )
 
 
 def check_reference(reference: Reference, file: str) -> None:

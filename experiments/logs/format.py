@@ -24,14 +24,15 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.experiments.logs.bag import Bag, is_bag, is_motion, read_bag
-from surefoot.experiments.logs.checks import MAX_GAP as MAX_GAP
 from surefoot.experiments.logs.checks import (
     check_columns,
     check_readings,
     check_reference,
     check_time,
+    clock_of,
     naming_cure,
 )
+from surefoot.experiments.logs.clock import MAX_GAP as MAX_GAP
 from surefoot.experiments.logs.columns import (
     PHASES,
     columns_of,
@@ -171,7 +172,8 @@ def read_log(
     kinds = [kind for kind in kinds if any(name.startswith(f"{kind}_") for name in table.names)]
     names = [*names, *(name for kind in kinds for name in part_names(layout, kind))]
     values = check_columns(table, names, ALONE if bare else "")
-    time = values["time_s"]
+    clock = clock_of(values["time_s"], path.name, joined=bool(np.isinf(max_gap)))
+    time, found = clock.time, tuple(f"{path.name}: column 'time_s' {text}." for text in clock.notices)
     check_time(time, description.dt_s, max_gap, path.name)
     if len(time) <= facts["lag"]:
         raise LogError(
@@ -193,7 +195,7 @@ def read_log(
         if "momentum" in kinds:
             shared = {phase: getattr(reference, phase) for phase in PHASES}
             more["momentum"] = MomentumReference(**fields_of(values, layout, "momentum", reference), **shared)
-    about |= {"notices": table.notices} if table.notices else {}
+    about |= {"notices": notices} if (notices := table.notices + found) else {}
     curved = {"curves": curves.as_plain()} if curves.any else {}
     facts |= {**more, "about": facts["about"] | curved | about}
     if unread:

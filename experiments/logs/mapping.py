@@ -15,7 +15,8 @@ from pydantic import Field
 
 from surefoot.calibration import GRAVITY
 from surefoot.experiments.logs.bag import Bag, Series
-from surefoot.experiments.logs.checks import CLOCKS, OF_USE, check_increasing
+from surefoot.experiments.logs.checks import OF_USE, clock_of
+from surefoot.experiments.logs.clock import CLOCKS
 from surefoot.experiments.logs.settings import Number, Positive, Settings
 from surefoot.experiments.logs.table import LogError, LogTable, join_names, read_table
 from surefoot.files import read_toml
@@ -140,8 +141,7 @@ def _factor(name: str, unit: str) -> float:
 def _series(table: LogTable) -> Series:
     """Return the columns of a walk that a table holds."""
     table.require(["time_s"], "name it under its table, or say under [rates] how many rows a second it has.")
-    time = table.numbers("time_s")
-    check_increasing(time, table.file)
+    time = clock_of(table.numbers("time_s"), table.file).time
     names = [name for name in table.names if OF_USE.fullmatch(name) and name != "time_s"]
     if not names:
         raise LogError(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from surefoot.arrays import Floats
-from surefoot.experiments.logs.checks import check_increasing, naming_cure
+from surefoot.experiments.logs.checks import clock_of, naming_cure
 from surefoot.experiments.logs.columns import stack
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.table import LogError, LogTable
@@ -63,7 +63,7 @@ def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> M
     held = " A joint without a column is held at an angle by motion.held_rad." if without else ""
     table.require(["time_s", *names], naming_cure(table, names) + held)
     values = {name: table.numbers(name) for name in ("time_s", *names)}
-    check_increasing(values["time_s"], file, repeats=True)
+    values["time_s"] = clock_of(values["time_s"], file, spread=False).time
     for name in names:
         if not np.isfinite(values[name]).any():
             raise LogError(

@@ -13,6 +13,7 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 
 from surefoot.arrays import Floats
+from surefoot.experiments.logs.clock import read_clock
 
 _SHOWN, _LISTED = 4, 24  # missing columns, and columns of a file, that a message names
 
@@ -71,7 +72,7 @@ class LogTable:
     @property
     def step(self) -> float:
         """Median time between two rows in s."""
-        return float(np.median(np.diff(self.numbers("time_s"))))
+        return read_clock(self.numbers("time_s")).step
 
     def require(self, names: Sequence[str], cure: str, purpose: str = "") -> tuple[str, ...]:
         """Return names of columns; raise LogError with their purpose and a cure if one is not there."""

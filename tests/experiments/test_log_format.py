@@ -134,13 +134,13 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
     ),
     "time turns back": (
         with_cell(10, "time_s", 0.05),
-        "column 'time_s' does not increase at row 10 (0.1125 s, then 0.05 s); sort the rows and drop "
-        "repeated times.",
+        "column 'time_s' goes back at row 10 (0.1125 s, then 0.05 s); packets came late: sort the rows by "
+        "their time.",
     ),
     "time stands still": (
-        with_cell(10, "time_s", 0.1125),
-        "column 'time_s' does not increase at row 10 (0.1125 s, then 0.1125 s); sort the rows and "
-        "drop repeated times.",
+        with_cell(slice(10, None), "time_s", 0.1125),
+        "column 'time_s' stands still at 0.1125 s from row 9 on; write the time of each row, or say under "
+        "[rates] how many rows a second there are.",
     ),
     "a gap": (
         lambda t: t.assign(time_s=t["time_s"] + 22.6 * (t.index >= 30)),
@@ -157,7 +157,7 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
         "column 'time_s' steps by 1.25e+07 where the description says dt_s = 0.0125; it looks like "
         "ns: say so in 'walk.toml', [units] time_s = \"ns\".",
     ),
-    "one row": (lambda t: t.head(1), "one row alone is no log; record some seconds."),
+    "one row": (lambda t: t.head(1), "column 'time_s' has one row alone; record some seconds."),
 }
 
 

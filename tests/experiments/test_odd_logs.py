@@ -16,7 +16,7 @@ from surefoot.experiments.instrument.channels import Wrong
 from surefoot.experiments.instrument.check import check_log, wrong_table
 from surefoot.experiments.instrument.recording import read_recording
 from surefoot.experiments.instrument.twin import identify
-from surefoot.experiments.logs.checks import unit_of_times
+from surefoot.experiments.logs.clock import read_clock, unit_of_times
 from surefoot.experiments.logs.format import Log, read_log, write_log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.walking.judge import judge_log
@@ -43,23 +43,27 @@ def said(wrong: Wrong) -> tuple[str, str, bool]:
 ODD: dict[str, tuple[pd.DataFrame, tuple[str, str, bool]]] = {
     "a clock that stands": (
         channels(time_s=1.0),
-        ("1 s", "Times do not increase at row 1, nor at 1998 others.", True),
+        ("all along", "Column 'time_s' stands still at 1 s from row 0 on.", True),
     ),
     "a clock that stops": (
         channels(time_s=np.minimum(TIME, 12.5)),
-        ("12.5 s", "Times do not increase at row 1001, nor at 998 others.", True),
+        ("12.5 s", "Column 'time_s' stands still at 12.5 s from row 1000 on.", True),
     ),
     "a clock that goes back": (
         channels(time_s=np.where(TIME > 12.5, TIME - 10.0, TIME)),
-        ("2.5125 s", "Times do not increase at row 1001.", True),
+        (
+            "13.5 s",
+            "Column 'time_s' begins again at row 1001 (12.5 s, then 2.5125 s), as when a logger was restarted.",
+            False,
+        ),
     ),
     "a clock that leaps": (
         channels(time_s=TIME + 5.0 * (TIME > 12.5)),
         ("17.5125 s", "The clock leaps 1 times, by 5.01 s at most.", False),
     ),
-    "packets of five rows": (
-        channels(time_s=TIME[np.arange(ROWS) // 5 * 5]),
-        ("0 s", "Times do not increase at row 1, nor at 1599 others.", True),
+    "packets that came late": (
+        channels(time_s=TIME[np.where(np.arange(ROWS) == 900, 896, np.arange(ROWS))]),
+        ("11.2 s", "Column 'time_s' goes back at row 900 (11.2375 s, then 11.2 s).", True),
     ),
     "a time that is missing": (
         channels(time_s=np.where(np.arange(ROWS) == 5, np.nan, TIME)),
@@ -198,7 +202,13 @@ FEET: dict[str, tuple[Callable[[pd.DataFrame, dict[str, Any]], Any], str]] = {
         lambda table, told: table.assign(
             time_s=table["time_s"].where(table.index != 9, 0.08) + 2.0 * (table.index > 300)
         ),
-        "(0.08 s, then 0.08 s); sort the rows and drop repeated times. It also leaps by 2.01 s at row 301",
+        "column 'time_s' leaps by 2.01 s at row 301",
+    ),
+    "a restarted logger": (
+        lambda table, told: table.assign(time_s=table["time_s"] - 3.1 * (table.index > 400)),
+        "column 'time_s' begins again at row 401 (4 s, then 0.91 s), as when a logger was restarted. Sorting "
+        "would mix the sessions: cut the file there and calibrate the parts one by one, or keep them apart with "
+        "--split-gaps.",
     ),
     "cells in millimetres": (
         lambda table, told: told["layout"][0].update(position_cell_sole_m=[[-60, 0], [50, 20], [100, 0]]),
@@ -231,9 +241,9 @@ def test_feet_alone_that_step_are_sound(tmp_path: Path) -> None:
     assert check_log(path).wrong == ()
 
 
-def test_a_clock_that_stands_hides_no_gap(tmp_path: Path) -> None:
+def test_a_repeated_time_hides_no_gap(tmp_path: Path) -> None:
     path = write_feet(tmp_path / "feet.csv", FEET["a repeated time, and a gap"][0])
-    assert [one.finding.name for one in check_log(path).wrong] == ["unreadable", "gaps"]
+    assert [one.finding.name for one in check_log(path).wrong] == ["gaps"]
 
 
 DRESS: dict[str, Callable[[str], str]] = {
@@ -379,3 +389,44 @@ def test_studies_say_where_they_cannot_write(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "file").write_text("")
     result = run("compare", "weights", "--out", tmp_path / "file" / "tables", code=2)
     assert result.stderr.startswith(f"surefoot: cannot write to '{tmp_path / 'file' / 'tables'}': Not a dir")
+
+
+CLOCKS: dict[str, tuple[Any, Any]] = {
+    "packets of five rows": (TIME[np.arange(ROWS) // 5 * 5], TIME),
+    "seconds without fractions": (np.floor(TIME + 0.3), TIME + 0.3),
+    "whole seconds since 1970": (1.7e9 + np.floor(TIME), 1.7e9 + TIME),
+    "a counter of microseconds": ((TIME + 4290.0) % (2**32 * 1e-6), TIME + 4290.0),
+    "a counter of milliseconds": ((TIME + 4294960.0) % (2**32 * 1e-3), TIME + 4294960.0),
+}
+
+
+@pytest.mark.parametrize(("stamps", "true"), CLOCKS.values(), ids=CLOCKS)
+def test_coarse_and_overflowing_clocks_become_even(stamps: Any, true: Any) -> None:
+    clock = read_clock(stamps)
+    assert not clock.flaw
+    assert clock.sessions == (0,)
+    np.testing.assert_allclose(clock.time, true, rtol=0.0, atol=0.0126)
+    np.testing.assert_allclose(np.diff(clock.time), 0.0125, atol=1e-6)
+
+
+def test_a_few_equal_stamps_move_no_other_row() -> None:
+    """A plate that sends a packet of two readings now and then, with times in whole milliseconds."""
+    time = np.round(np.cumsum(np.random.default_rng(2).choice([0.009, 0.01, 0.011], ROWS)), 3)
+    time[300::400] = time[299::400]
+    found = read_clock(time).time
+    assert (np.diff(found) > 0.0).all()
+    moved = found != time
+    assert moved.sum() == len(time[300::400])
+
+
+def test_sessions_of_a_restarted_logger_never_interleave(tmp_path: Path) -> None:
+    def restart(table: pd.DataFrame, told: Any) -> pd.DataFrame:
+        again = table.assign(time_s=table["time_s"] + 0.0037)
+        return pd.concat([table, again], ignore_index=True)
+
+    path = write_feet(tmp_path / "feet.csv", restart)
+    log = read_log(path, np.inf, feet_alone=True)
+    assert (np.diff(log.time) > 0.0).all()
+    assert np.diff(log.time)[599] == pytest.approx(1.0)
+    assert np.array_equal(log.raw[:600], log.raw[600:])
+    assert "begins again at row 600" in log.about["notices"][0]
