@@ -19,6 +19,7 @@ from surefoot.experiments.instrument.noise import (
     allan,
     conversions,
     find_leaps,
+    find_settled,
     noise_of,
     rests,
     step_of,
@@ -76,6 +77,8 @@ def _facts(recording: Recording, i: int) -> ChannelFacts:
     there = raw[np.isfinite(raw)]
     timed = recording.has_times
     still = rests(recording.time, raw, recording.unloaded[:, i]) if timed else []
+    if recording.load is not None:
+        still = find_settled(still)
     curve = allan(still)
     slope, slope_std = _slope(still) if recording.unloaded[:, i].any() else (np.nan, np.nan)
     return ChannelFacts(

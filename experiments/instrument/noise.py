@@ -120,10 +120,11 @@ def _usual_step(time: Floats) -> float:
 
 
 def find_settled(parts: Sequence[Stretch]) -> list[Stretch]:
-    """Return of each stretch the longest part whose means of half a second follow each other as usual.
+    """Return the longest part of each stretch in which means over half a second change as usual.
 
-    A plate goes on relaxing for some seconds after somebody has left it, and trembles when one walks by.
-    Stretches that are too short to tell are left as they are.
+    A plate relaxes for some seconds after somebody has left it, and trembles when somebody walks by. A column
+    of loads may also change some rows before or after the load does. Stretches of less than three means are
+    returned unchanged.
     """
     sizes = [max(1, round(BLOCK / float(np.diff(one.time).mean()))) for one in parts]
     steps = [np.abs(np.diff(_means(one, size))) for one, size in zip(parts, sizes, strict=True)]
@@ -133,7 +134,11 @@ def find_settled(parts: Sequence[Stretch]) -> list[Stretch]:
     for one, size, step in zip(parts, sizes, steps, strict=True):
         runs = np.split(np.arange(len(step) + 1), np.flatnonzero(step > limit) + 1)
         run = max(runs, key=len)
-        rows = slice(size * run[0], size * (run[-1] + 1) if run[-1] < len(step) else None)
+        end = size * (run[-1] + 1)
+        rest = one.value[end:] if run[-1] == len(step) else one.value[:0]
+        if len(rest) and abs(rest.mean() - one.value[end - size : end].mean()) <= limit * np.sqrt(size / len(rest)):
+            end = len(one.value)
+        rows = slice(size * run[0], end)
         if len(step) < 2:
             found.append(one)
         elif len(run) > 2:

@@ -6,13 +6,15 @@ file in TOML says which field is which column.
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 from pydantic import Field, PlainValidator, model_validator
 
 from surefoot.arrays import Floats
@@ -173,17 +175,45 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
             mine = [one for one in messages if one[0].topic == topic]
             decoded = [message_of(path, reader, link, data) for link, _, data in mine]
             received = 1e-9 * (np.array([stamp for _, stamp, _ in mine]) - messages[0][1])
-            columns = _numbers(f"{path.name}: '{topic}'", fields, decoded)
-            time, clock = _clock(received, _stamps(decoded, messages[0][1]), topics.offsets_s.get(topic))
-            kept = np.unique(time, return_index=True)[1]
-            one = Series(topic, time[kept], {name: values[kept] for name, values in columns.items()})
-            series.append(one)
-            rate = f", {1.0 / one.period:.4g} a second" if len(kept) > 1 else ""
-            count = f"{len(time)} message{'s' * (len(time) != 1)}{rate}"
-            repeats = len(time) - len(kept)
-            more = f" {repeats} messages repeat a time and were left out." if repeats else ""
-            notices.append(f"{path.name}: '{topic}': {count}; {clock}.{more}")
+            names = dict.fromkeys(name for message in decoded for name in getattr(message, "name", ()))
+            for rows, some in _by_publisher(decoded, fields):
+                messages_of = [decoded[row] for row in rows]
+                columns = _numbers(f"{path.name}: '{topic}'", some, messages_of, names)
+                stamps = _stamps(messages_of, messages[0][1])
+                time, clock = _clock(received[rows], stamps, topics.offsets_s.get(topic))
+                one, notice = _series_of(topic, time, columns)
+                series.append(one)
+                notices.append(f"{path.name}: '{topic}': {notice.format(clock)}")
     return Bag(path.name, tuple(series), tuple(notices))
+
+
+def _series_of(topic: str, time: Floats, columns: Mapping[str, Floats]) -> tuple[Series, str]:
+    """Return messages in order of time without those that repeat one, and a notice with a place for its clock."""
+    kept = np.unique(time, return_index=True)[1]
+    one = Series(topic, time[kept], {name: values[kept] for name, values in columns.items()})
+    rate = f", {1.0 / one.period:.4g} a second" if len(kept) > 1 else ""
+    repeats = len(time) - len(kept)
+    more = f" {repeats} messages repeat a time and were left out." if repeats else ""
+    return one, f"{len(time)} message{'s' * (len(time) != 1)}{rate}; {{}}.{more}"
+
+
+def _by_publisher(
+    messages: list[Any], fields: Mapping[FieldPath, str]
+) -> Iterator[tuple[NDArray[np.intp], dict[FieldPath, str]]]:
+    """Yield the rows of messages of each publisher of a topic, and the fields that these messages have.
+
+    Several drivers may publish on one topic, each its own joints, at their own rates. Messages with the same
+    names come from one of them; fields without names are those of all messages.
+    """
+    names = [tuple(getattr(message, "name", ())) for message in messages]
+    # Of several that publish one joint the most frequent is read, and its messages come first as rows.
+    kinds = [kind for kind, _ in Counter(names).most_common()]
+    found: dict[tuple[str, ...], dict[FieldPath, str]] = {kind: {} for kind in kinds}
+    for path, column in fields.items():
+        found[next((kind for kind in kinds if path[-1] in kind), kinds[0])][path] = column
+    for kind, some in found.items():
+        if some:
+            yield np.array([row for row, one in enumerate(names) if one == kind], dtype=np.intp), some
 
 
 def _read_topics(path: Path, mapping: Path) -> Topics:
@@ -250,13 +280,17 @@ def message_of(path: Path, reader: Any, connection: Any, data: bytes) -> Any:
         ) from None
 
 
-def _numbers(where: str, fields: Mapping[FieldPath, str], messages: list[Any]) -> dict[str, Floats]:
-    """Return columns of messages; LogError if one lacks a field, or no message has a number in it."""
+def _numbers(
+    where: str, fields: Mapping[FieldPath, str], messages: list[Any], names: Iterable[str]
+) -> dict[str, Floats]:
+    """Return columns of messages; LogError if one lacks a field, or no message has a number in it.
+
+    ``names`` are those of all joints of the topic.
+    """
     columns: dict[str, Floats] = {}
     for path, column in fields.items():
         columns[column] = np.array([_number(where, message, path) for message in messages])
         if not np.isfinite(columns[column]).any():
-            names = getattr(messages[0], "name", ())
             cure = f" Its names are {', '.join(names)}." if names else ""
             raise LogError(f"{where} holds no number under '{'.'.join(path)}' in any message.{cure}")
     return columns
@@ -365,6 +399,7 @@ def guess_topics(path: Path, *, walk: bool) -> str:
     else numbers. Raises LogError if there is no whole bag.
     """
     firsts: dict[str, Any] = {}  # messages, by topic
+    joints: dict[str, dict[str, None]] = {}  # names of the joints of all messages in order, by topic
     with open_bag(path) as reader:
         kinds = {name: str(info.msgtype) for name, info in sorted(reader.topics.items())}
         known = [
@@ -374,8 +409,10 @@ def guess_topics(path: Path, *, walk: bool) -> str:
         ]
         with explain_damage(path):
             for connection, _, data in reader.messages(known) if known else ():
-                if connection.topic not in firsts:
-                    firsts[connection.topic] = message_of(path, reader, connection, data)
+                if connection.topic not in firsts or connection.msgtype == JOINTS:
+                    message = message_of(path, reader, connection, data)
+                    firsts.setdefault(connection.topic, message)
+                    joints.setdefault(connection.topic, {}).update(dict.fromkeys(getattr(message, "name", ())))
     counts = [name for name in firsts if COUNTS.fullmatch(kinds[name])]
     feet = sorted(counts or (name for name in firsts if kinds[name] in WRENCHES))
     channels = [(name, field) for name in feet for field in _channels(firsts[name])]
@@ -384,7 +421,7 @@ def guess_topics(path: Path, *, walk: bool) -> str:
         fields.setdefault(name, []).append((field, column))
     for name in sorted(firsts) if walk else ():
         if kinds[name] == JOINTS:
-            fields[name] = [(f"position.{_key(joint)}", f"joint_{joint}_rad") for joint in firsts[name].name]
+            fields[name] = [(f"position.{_key(joint)}", f"joint_{joint}_rad") for joint in joints[name]]
     for name in [name for name in sorted(firsts) if kinds[name] == IMU][:1]:
         places = [
             f"{field}.{axis}" for field in ("linear_acceleration", "angular_velocity") for axis in "xyz"

@@ -19,8 +19,9 @@ CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # units of time besides seconds, 
 
 JOINED = 10.0 * MAX_GAP  # s between two sessions of one file once they are joined: a gap for every command
 COARSEST = 1.0  # s, the coarsest unit that loggers write; a time that is repeated for longer means a stopped clock
-OVERFLOWS = (2.0**32, *(2.0**32 * unit for unit in CLOCKS.values()), 2.0**16 * CLOCKS["ms"])
-"""Times in s after which counters of 32 bits overflow, by their unit, and those of 16 bits in milliseconds."""
+OVERFLOWS = (2.0**32, *(2.0**32 * unit for unit in CLOCKS.values()), 2.0**16 * CLOCKS["ms"], 86400.0, 3600.0)
+"""Times in s after which clocks begin again at zero: counters of 32 bits by their unit, counters of 16 bits in
+milliseconds, and times of day at midnight, or at the full hour where they have minutes and seconds alone."""
 
 NEAR = 16  # rows by which late packets may be out of order; sorting moves no row farther
 FEWEST = 8  # median rows of a session below which the rows of a file are in no order at all
@@ -112,7 +113,7 @@ def _undo_overflow(stamps: Floats) -> tuple[Floats, tuple[str, ...]]:
             times = np.concatenate([[0.0], np.cumsum(over * span)]) + stamps
             many = f", and {over.sum() - 1} more times" if over.sum() > 1 else ""
             return times, (
-                f"goes back by {-step[row - 1]:.10g} s at row {row}{many}, as a counter does that overflows after "
+                f"goes back by {-step[row - 1]:.10g} s at row {row}{many}, as a clock does that overflows after "
                 f"{span:.10g} s; its times were continued",
             )
     return stamps, ()

@@ -49,7 +49,10 @@ class TableMapping(Settings):
     columns: dict[str, str] = Field(default_factory=dict)  # of the log itself: the documented name = yours
     tables: dict[str, dict[str, str]] = Field(default_factory=dict)  # the same of further tables, by file
     units: dict[str, str] = Field(default_factory=dict)
-    """By documented names, with * for any letters, and, for one table of several, its file and a colon."""
+    """By documented names, with * for any letters, and, for one table of several, its file and a colon.
+
+    Of several patterns that fit a column the most specific one counts.
+    """
     rates: dict[str, Positive] = Field(default_factory=dict)  # rows a second of tables without times, by file
     offsets_s: dict[str, Number] = Field(default_factory=dict)  # added to the times of tables, by file
     csv: Csv = Csv()
@@ -83,10 +86,10 @@ class TableMapping(Settings):
             values = LogTable(table.file, pa.table({name: columns[name]})).numbers(name)
             columns[name] = pa.array(factor * values + offset)
 
-        for pattern, unit in self.units.items():
-            for name in columns:
-                if _fits(pattern, path.name, name):
-                    change(name, _factor(name, unit))
+        for name in columns:
+            patterns = [pattern for pattern in self.units if _fits(pattern, path.name, name)]
+            if patterns:
+                change(name, _factor(name, self.units[max(patterns, key=_specificity)]))
         if path.name in self.offsets_s and "time_s" in columns:
             change("time_s", 1.0, self.offsets_s[path.name])
         data = pa.table(columns, metadata=table.data.schema.metadata)
@@ -117,6 +120,11 @@ def merge(tables: Sequence[LogTable]) -> Bag:
 
 def _fits(pattern: str, file: str, name: str) -> bool:
     return fnmatchcase(f"{file}:{name}" if ":" in pattern else name, pattern)
+
+
+def _specificity(pattern: str) -> tuple[bool, int]:
+    """Return how specific a pattern is: one with a file comes before one without, and letters before ``*``."""
+    return ":" in pattern, len(pattern.replace("*", ""))
 
 
 def _rename(table: LogTable, own: Mapping[str, str]) -> dict[str, Any]:

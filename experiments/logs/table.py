@@ -3,9 +3,10 @@
 import codecs
 import re
 from collections.abc import Sequence
+from csv import reader
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -28,6 +29,7 @@ _KINDS = {
 _HEAD = 1 << 16  # bytes from which a table is judged
 _LARGEST = 1 << 32  # bytes of numbers: 60 columns at 1 kHz for two hours; a kilobyte of Parquet may hold them
 _SEPARATORS = (",", ";", "\t")
+_COMMENT, _SEP = re.compile(r"#\s*"), re.compile("sep=.?$")  # beginnings of comments, Excel's separator line
 _NO_TEXT = re.compile("[\x00-\x08\x0e-\x1f]")  # control characters that no line of text has
 
 
@@ -100,12 +102,16 @@ class LogTable:
             # to_numpy() imports pandas, which takes longer than to read a log. One chunk needs no copy.
             chunks = [np.from_dlpack(chunk) for chunk in column.chunks]
             return chunks[0] if len(chunks) == 1 else np.concatenate(chunks)
+        if pa.types.is_time(kind):  # a time of day: seconds since midnight
+            values = column.cast(pa.time64("ns")).cast(pa.int64())
+            return 1e-9 * LogTable(self.file, pa.table({name: values})).numbers(name)
         found = np.full(len(self), np.nan)
         for row, value in enumerate(column.to_pylist()):
             try:
                 if isinstance(value, bool) and not flags:
                     raise TypeError
-                found[row] = np.nan if value is None else float(value)
+                clock = _TIME_OF_DAY.fullmatch(value.strip()) if isinstance(value, str) else None
+                found[row] = np.nan if value is None else _seconds(clock) if clock else float(value)
             except (TypeError, ValueError):
                 raise LogError(
                     f"{self.file}: column '{name}' holds {value!r} at row {row}, which is no number; leave "
@@ -116,6 +122,20 @@ class LogTable:
     def stack_columns(self, names: Sequence[str]) -> Floats:
         """Return columns side by side, shape (rows, columns)."""
         return np.stack([self.numbers(name) for name in names], axis=-1)
+
+
+_TIME_OF_DAY = re.compile(
+    r"(?:[\d./-]+[T ]+)?(?:(?P<h>\d{1,2}):)?(?P<m>\d{1,2}):(?P<s>\d{1,2}(?:[.,]\d+)?)\s*(?P<half>[AaPp][Mm])?"
+)
+"""A time of day, perhaps behind a date. The clock of a log notices midnight, so that the date is not needed."""
+
+
+def _seconds(clock: re.Match[str]) -> float:
+    """Return a time of day in seconds since midnight."""
+    hours, half = int(clock["h"] or 0), (clock["half"] or "").lower()
+    if half:
+        hours = hours % 12 + 12 * (half == "pm")
+    return 3600.0 * hours + 60.0 * int(clock["m"]) + float(clock["s"].replace(",", "."))
 
 
 def read_table(
@@ -137,16 +157,7 @@ def read_table(
         if path.suffix.lower() == ".parquet":
             data = _parquet_of(path)
         else:
-            source, head = _text_of(path)
-            above, lines = _split_preamble(head)
-            seen = _separator_and_decimal(lines, separator)
-            units = _is_row_of_units(lines, seen[0])
-            read = csv.ReadOptions(skip_rows=above, skip_rows_after_names=units)
-            notices += (f"{path.name}: the row below the names holds no number, and was left out.",) * units
-            parse = csv.ParseOptions(delimiter=seen[0])
-            # An empty cell in a column of names is no name.
-            convert = csv.ConvertOptions(decimal_point=decimal or seen[1], strings_can_be_null=True)
-            data = csv.read_csv(source, read, parse, convert)
+            data, notices = _csv_of(path, separator, decimal)
         names = [name.strip() for name in data.column_names]
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         text = str(error).splitlines()[0]
@@ -164,6 +175,37 @@ def read_table(
         raise LogError(f"{path.name}: holds no rows of samples, only names of columns.")
     named = data.rename_columns(names).replace_schema_metadata(data.schema.metadata)
     return LogTable(path.name, named, notices)
+
+
+def _csv_of(path: Path, separator: str | None, decimal: str | None) -> tuple[pa.Table, tuple[str, ...]]:
+    """Read a CSV file, and return notices of lines that are not part of its table."""
+    source, head = _text_of(path)
+    form = _find_table(head, separator)
+    names = form.names if form.commented else None
+    read = csv.ReadOptions(skip_rows=form.above, skip_rows_after_names=form.units, column_names=names)
+    notices = (f"{path.name}: the row below the names holds no number, and was left out.",) * form.units
+    cut: list[str] = []
+
+    def skip(row: csv.InvalidRow) -> str:
+        """Skip the last row if it was cut off, as when a logger lost its supply."""
+        last = row.actual_columns < row.expected_columns and not cut and _ends_with(path, row.text)
+        cut.append(row.text)
+        return "skip" if last else "error"
+
+    parse = csv.ParseOptions(delimiter=form.separator, invalid_row_handler=skip)
+    # An empty cell in a column of names is no name.
+    convert = csv.ConvertOptions(decimal_point=decimal or form.decimal, strings_can_be_null=True)
+    data = csv.read_csv(source, read, parse, convert)
+    return data, notices + tuple(f"{path.name}: the last row is cut off, and was left out." for _ in cut)
+
+
+def _ends_with(path: Path, row: str) -> bool:
+    """Whether the last line of a file is this row."""
+    size = 4 * len(row) + 64  # a character has at most four bytes
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - size, 0))
+        tail = file.read().replace(b"\0", b"").rstrip(b"\r\n")
+    return tail.endswith(row.encode("utf-8").strip()) or tail.endswith(row.encode("cp1252", "ignore").strip())
 
 
 def _parquet_of(path: Path) -> pa.Table:
@@ -215,25 +257,67 @@ def _encoding(path: Path, head: bytes) -> str:
     return "utf-8-sig"
 
 
-def _split_preamble(head: str) -> tuple[int, list[str]]:
-    """Return how many comments, and Excel's line ``sep=;``, stand above a table, and the lines below them."""
-    lines = head.splitlines()
-    above = next((i for i, line in enumerate(lines) if not re.match("#|sep=.?$", line)), 0)
-    return above, lines[above:]
+class _Form(NamedTuple):
+    """How the table of a CSV file is written."""
+
+    above: int  # lines above the names, or above the first row if the names are a comment
+    names: list[str]  # of columns, if they were found
+    commented: bool  # whether the names are a comment
+    units: bool  # whether the row below the names holds units
+    separator: str
+    decimal: str
 
 
-def _is_row_of_units(lines: list[str], separator: str) -> bool:
-    """Whether the row below the names holds words and no number or time, and the one below it does."""
-    rows = [[cell.strip('" ') for cell in line.split(separator)] for line in lines[1:3]]
-    numbers = [any(re.match(r"[-+.,]?\d", cell) for cell in row) for row in rows]
-    return numbers == [False, True] and any(rows[0])
+def _find_table(head: str, separator: str | None) -> _Form:
+    """Find the names of columns: comments, Excel's line ``sep=;`` and a preamble may be above them.
+
+    The names are the first line that has as many cells as most rows, and a row with a number below it. Units
+    may be between the two, and the names may be a comment.
+    """
+    lines = [(i, line) for i, line in enumerate(head.splitlines()) if line.strip() and not _SEP.match(line)]
+    forms = [_find_names(lines, one) for one in ([separator] if separator else _SEPARATORS)]
+    form = max(forms, key=lambda one: len(one.names))
+    alone = form.names[0] if len(form.names) == 1 and not separator else ""
+    if not form.names or any(one in alone for one in _SEPARATORS):
+        form = _without_names(lines, separator)
+    below = [line for i, line in lines if i >= form.above]
+    return form._replace(decimal=_decimal_of(below, form.separator))
 
 
-def _separator_and_decimal(lines: list[str], separator: str | None) -> tuple[str, str]:
-    """Return the separator, and the decimal point, by the first lines of a table."""
-    names = re.sub('"[^"]*"', "", lines[0] if lines else "")
-    if separator is None:
-        separator = max(_SEPARATORS, key=names.count)
-    cells = [cell.strip('" ') for line in lines[1:] for cell in line.split(separator)]
+def _find_names(lines: list[tuple[int, str]], separator: str) -> _Form:
+    rows = [_cells(_COMMENT.sub("", line), separator) for _, line in lines]
+    widths = [len(row) for row in rows[1:]]
+    width = max(widths, key=widths.count, default=0)
+    numbers = [len(row) == width and any(map(_is_number, row)) for row in rows]
+    words = [len(row) == width and any(row) and not any(map(_is_number, row)) for row in rows]
+    for k, (is_words, is_numbers) in enumerate(zip(words, numbers[1:], strict=False)):
+        if is_words and is_numbers:
+            # Units are shorter than the names above them; a line of a preamble is not.
+            units = k > 0 and words[k - 1] and len("".join(rows[k])) < len("".join(rows[k - 1]))
+            first = k - units
+            commented = _COMMENT.match(lines[first][1]) is not None
+            return _Form(lines[first][0] + commented, rows[first], commented, units, separator, ".")
+    return _Form(0, [], False, False, separator, ".")
+
+
+def _without_names(lines: list[tuple[int, str]], separator: str | None) -> _Form:
+    """Take the first line that is not a comment for the names, which the reader will judge."""
+    above, first = next(((i, line) for i, line in lines if not _COMMENT.match(line)), (0, ""))
+    names = re.sub('"[^"]*"', "", first)
+    return _Form(above, [], False, False, separator or max(_SEPARATORS, key=names.count), ".")
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    return [cell.strip() for cell in next(reader([line], delimiter=separator), [])]
+
+
+def _is_number(cell: str) -> bool:
+    """Whether a cell begins as a number or a time does."""
+    return re.match(r"[-+.,]?\d", cell) is not None
+
+
+def _decimal_of(lines: list[str], separator: str) -> str:
+    """Return the decimal point by the rows of a table."""
+    cells = [cell.strip('" ') for line in lines for cell in line.split(separator)]
     comma = separator != "," and any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", cell) for cell in cells)
-    return separator, "," if comma else "."
+    return "," if comma else "."

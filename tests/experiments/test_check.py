@@ -111,3 +111,12 @@ def test_what_is_no_log_ends_in_one_line(tmp_path: Path) -> None:
         "a.csv: holds no column 'raw_<channel>_count'; there are 'x', 'y'. Name yours under "
         "[columns] in a.toml.",
     )
+
+
+@pytest.mark.parametrize("early", [-30, -2, 0, 5])
+def test_noise_is_that_of_rest_where_the_column_of_loads_is_early_or_late(early: int, tmp_path: Path) -> None:
+    load = np.repeat([0.0, 2.0, 0.0, 4.0, 0.0], 500)
+    counts = 4e4 + 1.5e5 * np.roll(load, early) + np.random.default_rng(1).normal(0.0, 25.0, len(load))
+    table = {"time_s": np.arange(len(load)) / 100.0, "load_kg": load, "raw_cell_count": np.rint(counts)}
+    pd.DataFrame(table).to_csv(tmp_path / "rig.csv", index=False)
+    assert check_log(tmp_path / "rig.csv").facts[0].noise.white == pytest.approx(25.0, rel=0.05)

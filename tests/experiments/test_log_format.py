@@ -137,11 +137,6 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
         "column 'time_s' goes back at row 10 (0.1125 s, then 0.05 s); packets came late: sort the rows by "
         "their time.",
     ),
-    "time stands still": (
-        with_cell(slice(10, None), "time_s", 0.1125),
-        "column 'time_s' stands still at 0.1125 s from row 9 on; write the time of each row, or say under "
-        "[rates] how many rows a second there are.",
-    ),
     "a gap": (
         lambda t: t.assign(time_s=t["time_s"] + 22.6 * (t.index >= 30)),
         "column 'time_s' leaps by 22.6 s at row 30 (at most 0.1 s); cut the log there and calibrate "

@@ -122,3 +122,18 @@ def test_offsets_that_nobody_gave_are_read_in_the_air(log: Log, tmp_path: Path) 
     path = write_log(swung, tmp_path / "walk.csv")
     redescribe(path, nominal={"scale_N_per_count": log.nominal.scale.tolist()})
     np.testing.assert_allclose(read_log(path).nominal.offset, -2e-5 * unloaded)
+
+
+def test_the_most_specific_unit_of_a_column_counts(log: Log, path: Path) -> None:
+    table = pd.read_csv(path)
+    table["time_s"] *= 1e3
+    for name in table.columns:
+        if name.endswith("_gyroscope_x_rad_s"):
+            table[name] *= 180.0 / np.pi
+    table.to_csv(path, index=False)
+    units = {"*_rad_s": "rad/s", "*_gyroscope_x_*": "deg/s", "time_s": "us", "walk.csv:time_s": "ms"}
+    lines = [f"'{name}' = '{unit}'" for name, unit in units.items()]
+    path.with_suffix(".toml").write_text("\n".join(["[units]", *lines]))
+    found = read_log(path)
+    np.testing.assert_allclose(found.time, log.time, atol=1e-12)
+    np.testing.assert_allclose(found.reference.gyroscope, log.reference.gyroscope, atol=1e-12)

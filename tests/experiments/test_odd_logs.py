@@ -249,6 +249,9 @@ def test_a_repeated_time_hides_no_gap(tmp_path: Path) -> None:
 DRESS: dict[str, Callable[[str], str]] = {
     "comments": lambda text: f"# rig 3\n#\n{text}",
     "Excel's line of the separator": lambda text: "sep=;\n" + text.replace(",", ";"),
+    "names in a comment": lambda text: f"# rig 3, cells a and b\n# {text}",
+    "a preamble": lambda text: f"Rig 3, by Li\nRate,80\n\nserial;12, 14\n{text}",
+    "a preamble between semicolons": lambda text: "Ort;Labor;2\n" + text.replace(",", ";"),
     "a row of units": lambda text: text.replace("\n", "\ns,count (2^24),\n", 1),
     "spaces": lambda text: text.replace(",", ", "),
 }
@@ -430,3 +433,32 @@ def test_sessions_of_a_restarted_logger_never_interleave(tmp_path: Path) -> None
     assert np.diff(log.time)[599] == pytest.approx(1.0)
     assert np.array_equal(log.raw[:600], log.raw[600:])
     assert "begins again at row 600" in log.about["notices"][0]
+
+
+def test_a_last_row_that_was_cut_off_is_left_out_and_noted(tmp_path: Path) -> None:
+    text = channels().to_csv(index=False).rstrip("\n")
+    (tmp_path / "rig.csv").write_text(text[: text.rindex(",") - 3])
+    found = read_recording(tmp_path / "rig.csv")
+    assert len(found.raw) == ROWS - 1
+    assert found.notices == ("rig.csv: the last row is cut off, and was left out.",)
+    (tmp_path / "rig.csv").write_text(text.replace("\n0.125,", "\n0.125;"))
+    with pytest.raises(LogError, match="not a readable table .*Expected 3 columns, got 2"):
+        read_recording(tmp_path / "rig.csv")
+
+
+DAYS: dict[str, str] = {
+    "a time of day": "%H:%M:%S.%f",
+    "a date and a time": "%Y-%m-%dT%H:%M:%S.%f",
+    "a date as in Germany": "%d.%m.%Y %H:%M:%S.%f",
+    "twelve hours": "%m/%d/%Y %I:%M:%S.%f %p",
+    "minutes": "%M:%S.%f",
+}
+
+
+@pytest.mark.parametrize("form", DAYS.values(), ids=DAYS)
+def test_times_of_day_go_on_at_midnight(form: str, tmp_path: Path) -> None:
+    moments = pd.Timestamp("2025-03-09 23:59:50") + pd.to_timedelta(TIME, unit="s")
+    channels(time_s=moments.strftime(form)).to_csv(tmp_path / "rig.csv", index=False)
+    found = read_recording(tmp_path / "rig.csv")
+    np.testing.assert_allclose(found.time - found.time[0], TIME, atol=1e-6)
+    assert check_log(tmp_path / "rig.csv").sound
