@@ -130,14 +130,15 @@ def _log_page(server: Any, log: Path, feed: str) -> Any:
     from surefoot.experiments.view.player import LogFeet, LogPage
 
     with _refuse():
-        return LogPage(server, LogFeet(read_log(log), _choose(feed).get("method", "moment")))
+        method = _choose(feed).get("method", "none")
+        return LogPage(server, LogFeet(read_log(log, feet_alone=method in ("tare", "none")), method))
 
 
 def _stream_page(server: Any, description: Path, feed: str, address: tuple[str, int]) -> Any:
     from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
 
     with _refuse():
-        feet = StreamFeet(description, _choose(feed).get("method", "moment"))
+        feet = StreamFeet(description, _choose(feed).get("method", "none"))
         return StreamPage(server, feet, RowSocket(*address))
 
 

@@ -26,7 +26,7 @@ from surefoot.experiments.instrument.noise import (
 )
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.logs.checks import RESTARTED, SPLIT
-from surefoot.experiments.logs.clock import SLOWEST, find_gaps, unit_of_times
+from surefoot.experiments.logs.clock import EPOCH, SLOWEST, find_gaps, unit_of_times
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import sentence
 
@@ -37,7 +37,6 @@ RAILED, LOST = (
     0.01,
     0.5,
 )  # shares of readings at a converter's end, and of missing ones, that are worth a word
-EPOCH = 1e8  # s, three years: a longer time is one since 1970
 ALARM = 1e-6  # probability of calling a sound channel's slope a drift
 
 

@@ -19,6 +19,7 @@ from surefoot.experiments.instrument.channels import (
 )
 from surefoot.experiments.instrument.recording import Recording, read_recording
 from surefoot.experiments.logs.format import Log
+from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.progress import working
 from surefoot.experiments.study.tables import (
     NOTHING,
@@ -34,7 +35,7 @@ from surefoot.experiments.walking.claims import Claims, claims_of, fit_claims, p
 from surefoot.experiments.walking.hypotheses import Hypothesis
 from surefoot.experiments.walking.judge import HINT, SOUND, Judgement, judge_log, length_of
 from surefoot.experiments.walking.notices import motion_notices, weigh_feet
-from surefoot.experiments.walks.replay import starting_map
+from surefoot.experiments.walks.replay import foot_length_of, starting_map
 from surefoot.experiments.weights.calibrate import fit_cells, read_weighings
 from surefoot.experiments.weights.judge import Weighings, judge_weighings
 
@@ -100,6 +101,10 @@ def _judge_weighings(weighings: Weighings) -> Iterator[Wrong]:
 def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
     if not any(np.ptp(raw[np.isfinite(raw)]) > 0.0 for raw in log.raw.T if np.isfinite(raw).any()):
         return  # its channels say so
+    try:
+        foot_length_of(log, recording.file)
+    except LogError as error:
+        yield Wrong(Finding("unreadable", sentence(str(error).removeprefix(f"{recording.file}: "))))
     initial = starting_map(log)
     for notice in motion_notices(log):
         yield Wrong(Finding("notice", sentence(notice), refuses=False))

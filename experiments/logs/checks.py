@@ -139,9 +139,9 @@ def check_readings(raw: Floats, names: Sequence[str], file: str) -> None:
 
 
 def check_load_cells(layout: FeetLayout, what: str) -> None:
-    """Raise LogError unless a layout is of two feet on load cells, which the live page shows."""
-    if len(layout.feet) != 2 or any(foot.position_cell_sole is None for foot in layout.feet):
-        raise LogError(f"The page shows two feet on load cells, and this {what} has others.")
+    """Raise LogError unless a layout is of one plate or two feet on load cells, which the live page shows."""
+    if len(layout.feet) > 2 or any(foot.position_cell_sole is None for foot in layout.feet):
+        raise LogError(f"The page shows one plate or two feet on load cells, and this {what} has others.")
 
 
 def check_reference(reference: Reference, file: str) -> None:

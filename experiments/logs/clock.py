@@ -17,6 +17,8 @@ MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's f
 SLOWEST = 1.0  # median time in s between rows of feet at or above which the unit of time must be wrong
 CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # units of time besides seconds, in s
 
+EPOCH = 1e8  # s, three years: a larger time is one since 1970
+
 JOINED = 10.0 * MAX_GAP  # s between two sessions of one file once they are joined: a gap for every command
 COARSEST = 1.0  # s, the coarsest unit that loggers write; a time that is repeated for longer means a stopped clock
 OVERFLOWS = (2.0**32, *(2.0**32 * unit for unit in CLOCKS.values()), 2.0**16 * CLOCKS["ms"], 86400.0, 3600.0)
@@ -91,6 +93,11 @@ def read_clock(stamps: Floats, *, spread: bool = True) -> Clock:
 def find_gaps(step: Floats, max_gap: float = MAX_GAP) -> NDArray[np.bool_]:
     """Return which steps of time in s are longer than a log may have, of the same shape."""
     return np.asarray(step > max_gap + 1e-6)  # seconds since 1970 are as coarse as that
+
+
+def origin_of(time: float) -> float:
+    """Return what to subtract from times in s that begin here, so that single precision holds milliseconds."""
+    return time if abs(time) > EPOCH else 0.0
 
 
 def unit_of_times(step: float, dt: float = np.nan) -> str:

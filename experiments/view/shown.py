@@ -47,6 +47,17 @@ class Shown:
         return float(np.linalg.norm(apart))
 
 
+NEED_NO_ROBOT = ("none", "tare")  # methods for feet alone
+APART = 0.2  # m between the soles of feet alone, whose places are not known
+
+
+def place_apart(feet: int) -> Floats:
+    """Return places of soles in m side by side, shape (F, 3), for feet whose places are not known."""
+    places = np.zeros((feet, 3))
+    places[:, 1] = APART * (0.5 * (feet - 1) - np.arange(feet))
+    return places
+
+
 def show_feet(
     time: float,
     position_sole: Floats,

@@ -13,6 +13,7 @@ import viser
 
 from surefoot.calibration import GRAVITY, METHODS, FootCalibrator, Reference
 from surefoot.experiments.logs.checks import check_load_cells
+from surefoot.experiments.logs.clock import origin_of
 from surefoot.experiments.logs.columns import (
     PHASES,
     fields_of,
@@ -28,14 +29,12 @@ from surefoot.experiments.view.player import SIZE
 from surefoot.experiments.view.served import Served
 from surefoot.experiments.view.server import when_changed
 from surefoot.experiments.view.session import check_method
-from surefoot.experiments.view.shown import Shown, show_feet
+from surefoot.experiments.view.shown import NEED_NO_ROBOT, Shown, place_apart, show_feet
 from surefoot.files import parse_json, read_text
 
 LARGEST_PACKET = 65536  # bytes, which is all that UDP carries
 MOST_AT_ONCE = 1000  # packets between two frames: a robot that sends faster is behind anyway
-APART = 0.2  # m between the soles of feet that nobody says the place of
 FELT_FOR = 10.0  # s of load in which feet alone show that they step
-NEED_NO_ROBOT = ("none", "tare")  # methods for feet alone
 QUIET = 1.0  # s without a row after which the page says so
 
 
@@ -74,9 +73,9 @@ class RowSocket:
 class StreamFeet:
     """A robot's feet, row by row, read by their data sheet and by a method.
 
-    Rows hold the columns of a log; without any named ``reference_`` but contacts the feet are alone, which
-    the methods tare and none can calibrate. Raises LogError if the description is not one of two feet on load
-    cells, ValueError if there is no such method.
+    Rows hold the columns of a log. Without columns of references the feet are alone, which only the methods
+    ``tare`` and ``none`` can calibrate. Raises LogError if the description is not one of a plate or of two feet
+    on load cells, ValueError if the method does not exist.
     """
 
     def __init__(self, description: Path, method: str) -> None:
@@ -92,7 +91,7 @@ class StreamFeet:
         self._counts, self._curves = raw_names_of(self.layout), facts.straightening
         self.rows = 0
         self.shown: Shown | None = None
-        self._time, self._alone = math.nan, False
+        self._time, self._alone, self._origin = math.nan, False, math.nan
         self.choose(method)
 
     def choose(self, method: str) -> None:
@@ -119,8 +118,7 @@ class StreamFeet:
             raise LogError("'time_s' must be a number, got null.")
         step = time - self._time
         if not step > 0.0 and not math.isnan(step):
-            # A robot that starts anew.
-            self._begin()
+            self._begin()  # the robot was restarted
         step = step if step > 0.0 else self.facts.dt_s
         raw = self._curves.straighten(np.array([_number(row, name) for name in self._counts]))
         reference = self._feel(row, raw) if alone else self._believe(row)
@@ -128,14 +126,16 @@ class StreamFeet:
         self._time = time
         self.rows += 1
         soles = reference.position_sole, reference.R_level_sole
-        self.shown = show_feet(time, *soles, raw_estimate, estimate)
+        if math.isnan(self._origin):
+            self._origin = origin_of(time)
+        self.shown = show_feet(time - self._origin, *soles, raw_estimate, estimate)
 
     def _begin(self) -> None:
         facts, alone = self.facts, self._alone
         # Contacts that are felt are sure some samples later.
         self._late = round(SURE / facts.dt_s) + 1 if alone else facts.lag_samples
         self._load: deque[Any] = deque(maxlen=round(FELT_FOR / facts.dt_s))
-        self._time = math.nan
+        self._time = self._origin = math.nan
         self._calibrators = [
             FootCalibrator(
                 self.layout, method, mass=facts.mass_kg, initial=facts.nominal, dt=facts.dt_s, lag=self._late
@@ -159,8 +159,7 @@ class StreamFeet:
             load = np.array(self._load)
             felt = feel_contacts(load, self.facts.mass_kg * GRAVITY, self.facts.dt_s)
             stance, swing = (part[max(len(load) - 1 - self._late, 0)] for part in felt)
-        apart = np.array([(0.0, 0.5 * APART, 0.0), (0.0, -0.5 * APART, 0.0)])
-        return refer_to_contacts(stance, swing, apart)
+        return refer_to_contacts(stance, swing, place_apart(len(self.layout.feet)))
 
 
 def _number(row: Mapping[str, Any], name: str) -> float:

@@ -27,7 +27,13 @@ from surefoot.experiments.walking.notices import check_weight, log_notices, resu
 from surefoot.experiments.walking.page import write_walking_page
 from surefoot.experiments.walking.ros2 import parameters_of_log, write_node_parameters
 from surefoot.experiments.walking.tables import Facts, nis_per_row, parameter_table, terminal_tables
-from surefoot.experiments.walks.replay import replay_log, standing_weights, starting_map, with_map
+from surefoot.experiments.walks.replay import (
+    foot_length_of,
+    replay_log,
+    standing_weights,
+    starting_map,
+    with_map,
+)
 from surefoot.files import atomic_path, write_text
 from surefoot.names import plain_name
 
@@ -87,7 +93,7 @@ def calibrate_log(
         raise ValueError(
             f"A quiet stand tells the weights of the window alone, not of '{method}'; leave out --stand."
         )
-    options = _foot_length(log, file)
+    options = foot_length_of(log, file)
     if zero_phase and (np.diff(log.time) > MAX_GAP).any():
         raise LogError(
             f"{file}: --zero-phase filters across the gaps that --split-gaps lets through; use one of them."
@@ -112,18 +118,6 @@ def calibrate_log(
         write_walking_page(page, facts)
     written = _write_ros2(facts, node, folder / f"{stem}.{plain}.ros2.yaml") if ros2 else None
     return CalibratedLog(walk, parameters, page, tables, notices, written)
-
-
-def _foot_length(log: Log, file: str) -> dict[str, float]:
-    """Return the length of a foot as an option of methods, where places of channels do not tell it."""
-    if "foot_length_m" in log.about:
-        return {"foot_length": float(log.about["foot_length_m"])}
-    if any(foot.position_cell_sole is None for foot in log.layout.feet):
-        raise LogError(
-            f"{file}: channels have no places, which would tell the length of a foot; give it in m in the "
-            'description: "about": {"foot_length_m": 0.25}.'
-        )
-    return {}
 
 
 def _judge(log: Log, start: str, initial: Parameters, file: str, accept: str) -> tuple[str, ...]:

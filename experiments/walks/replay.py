@@ -60,6 +60,21 @@ def age_of(log: Log) -> float:
     return float(log.about.get("sample_age_s", 0.0))
 
 
+def foot_length_of(log: Log, file: str) -> dict[str, float]:
+    """Return the length of a foot as an option of methods, where the places of channels do not give it.
+
+    Raises LogError if neither they nor the description do.
+    """
+    if "foot_length_m" in log.about:
+        return {"foot_length": float(log.about["foot_length_m"])}
+    if any(foot.position_cell_sole is None for foot in log.layout.feet):
+        raise LogError(
+            f"{file}: the description gives neither places of the channels nor the length of a foot; give it "
+            'in m: "about": {"foot_length_m": 0.25}.'
+        )
+    return {}
+
+
 def starting_map(log: Log, start: str | None = None) -> Parameters:
     """Return the nominal or the calibrated map, or raise LogError; by default as ``about`` says."""
     if start is None:

@@ -1,6 +1,7 @@
 """`surefoot check`: any log, what is wrong with it, since when, and what would settle it."""
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -120,3 +121,20 @@ def test_noise_is_that_of_rest_where_the_column_of_loads_is_early_or_late(early:
     table = {"time_s": np.arange(len(load)) / 100.0, "load_kg": load, "raw_cell_count": np.rint(counts)}
     pd.DataFrame(table).to_csv(tmp_path / "rig.csv", index=False)
     assert check_log(tmp_path / "rig.csv").facts[0].noise.white == pytest.approx(25.0, rel=0.05)
+
+
+def test_a_six_axis_foot_without_a_length_is_refused_by_check_too(tmp_path: Path, undrawn: None) -> None:
+    time = np.arange(1500) / 200.0
+    load = 600.0 * np.clip(np.sin(np.pi * time), 0.0, 1.0)
+    axes = ("fx", "fy", "fz", "tx", "ty", "tz")
+    noise = np.random.default_rng(4).normal(0.0, 1.0, (6, len(time)))
+    counts = {f"raw_sole_{axis}_count": noise[i] + load * (axis == "fz") for i, axis in enumerate(axes)}
+    pd.DataFrame({"time_s": time} | counts).to_csv(tmp_path / "sole.csv", index=False)
+    foot = {"name": "sole", "channel_names": axes, "wrench_map": np.eye(6).tolist()}
+    told = {"format": "surefoot-log", "format_version": 1, "lag_samples": 0, "mass_kg": 60.0}
+    told |= {"layout": [foot], "nominal": {"scale_N_per_count": [1.0] * 6}}
+    (tmp_path / "sole.json").write_text(json.dumps(told))
+    reasons = [row["what is seen"] for row in check(tmp_path / "sole.csv", 3)["tables"]["wrong"]["rows"]]
+    assert "foot_length_m" in reasons[0]
+    (tmp_path / "sole.json").write_text(json.dumps(told | {"about": {"foot_length_m": 0.24}}))
+    check(tmp_path / "sole.csv", 0)

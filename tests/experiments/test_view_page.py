@@ -1,5 +1,6 @@
 """The page: what a browser asks for is done, and nothing else; a real one is asked too."""
 
+import dataclasses
 import json
 import shutil
 import socket
@@ -11,6 +12,7 @@ from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import numpy as np
+import pandas as pd
 import pytest
 from _logs import fails, redescribe
 
@@ -22,6 +24,7 @@ pytest.importorskip("viser", reason="the extra 'view' (viser) is not installed")
 from surefoot.experiments.view.page import Page
 from surefoot.experiments.view.player import LogFeet, LogPage
 from surefoot.experiments.view.server import address_of, close_server, open_server
+from surefoot.experiments.view.shown import WAYS
 from surefoot.experiments.view.stream import RowSocket, StreamFeet, StreamPage
 
 STAND = "surefoot/NaoStand-v0"
@@ -164,6 +167,44 @@ def test_a_log_is_played_and_searched(server: Any, log: Log) -> None:
     page._asked.put(("method", "guess"))
     page.run(0.1)
     assert page._told.startswith("Method 'guess' does not exist.")
+
+
+def test_a_log_with_times_since_1970_is_drawn(server: Any, log: Log) -> None:
+    """Browsers draw with single precision, in which two of these times are the same."""
+    late = dataclasses.replace(log, time=1.75e9 + log.time)
+    page = LogPage(server, LogFeet(late, "none"))
+    page._play.value = False
+    for i in range(12):
+        page._now = float(log.time[i])
+        page.draw()
+    time, *forces = page._meters._columns()
+    assert len(time) > 2
+    assert (np.diff(time.astype(np.float32)) > 0.0).all()
+    assert np.isfinite(forces[WAYS.index("raw")]).all()
+
+
+def test_one_plate_is_shown_as_a_log_and_as_a_stream(server: Any, tmp_path: Path) -> None:
+    time = np.arange(400) / 100.0
+    load = 500.0 * (time > 1.5)[:, None] * [0.3, 0.2, 0.5]
+    counts = np.rint(1e3 * load + 2e4 + np.random.default_rng(0).normal(0.0, 30.0, load.shape))
+    table = pd.DataFrame(counts, columns=[f"raw_plate_{cell}_count" for cell in "abc"])
+    table.insert(0, "time_s", time)
+    table.to_csv(tmp_path / "plate.csv", index=False)
+    places = {"name": "plate", "channel_names": ["a", "b", "c"]}
+    places |= {"position_cell_sole_m": [[0.2, 0.1], [0.2, -0.1], [-0.2, 0.0]]}
+    told = {"format": "surefoot-log", "format_version": 1, "lag_samples": 0, "mass_kg": 51.0, "dt_s": 0.01}
+    told |= {"layout": [places], "nominal": {"scale_N_per_count": [1e-3] * 3, "offset_N": [-20.0] * 3}}
+    (tmp_path / "plate.json").write_text(json.dumps(told))
+    feet = LogFeet(read_log(tmp_path / "plate.csv", feet_alone=True), "tare")
+    LogPage(server, feet).run(0.1)
+    assert feet.state_to_draw(399).readings["calibrated"].vgrf == pytest.approx([500.0], abs=1.0)
+    with pytest.raises(LogError, match="'moment' needs a robot's motion"):
+        feet.choose("moment")
+    stream = StreamFeet(tmp_path / "plate.json", "none")
+    for row in table.to_dict("records"):
+        stream.take(json.dumps(row).encode())
+    assert stream.shown is not None
+    assert stream.shown.readings["raw"].vgrf == pytest.approx([500.0], abs=1.0)
 
 
 def rows_of(log: Log, count: int) -> list[bytes]:
