@@ -10,6 +10,7 @@ from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.arrays import skew
 from surefoot.experiments.force_torque.table import Samples
+from surefoot.experiments.logs.clock import read_clock
 from surefoot.experiments.logs.table import LogError
 
 FEWEST = 8  # samples without which a set is no set: an affine map of gravity has four unknowns a channel
@@ -79,28 +80,20 @@ def _check_values(samples: Samples, notices: list[str]) -> Samples:
 
 
 def _check_times(samples: Samples, notices: list[str]) -> Samples:
-    """Return the samples without rows that repeat the one before; refuse times in disorder or other units."""
+    """Return the samples on one clock, without repeated rows; refuse times in disorder or other units."""
     time = samples.time
     if time is None:
         return samples
-    at, rows, step = f"{samples}: column '{samples.columns.time}'", samples.rows, np.diff(time)
-    if (step < 0.0).any():
-        i = int(np.argmax(step < 0.0)) + 1
-        raise LogError(
-            f"{at} goes back at row {rows[i]} ({time[i - 1]:.6g} s, then {time[i]:.6g} s); sort the rows, or "
-            "give each recording a set of its own."
-        )
-    again = np.concatenate([[False], step == 0.0])
+    at = f"{samples}: column '{samples.columns.time}'"
+    again = np.concatenate([[False], np.diff(time) == 0.0]) & _same_as_before(samples)
     if again.any():
-        wrong = again & ~_same_as_before(samples)
-        if wrong.any():
-            i = int(np.argmax(wrong))
-            raise LogError(
-                f"{at} is {time[i]:.6g} s at rows {rows[i - 1]} and {rows[i]}, which differ; give each "
-                "sample its own time, with more digits if they were rounded away."
-            )
         notices.append(f"{samples}: {again.sum()} rows repeat the row before them; they were dropped.")
-        samples, step = _enough(samples.take(~again)), np.diff(time[~again])
+        samples = _enough(samples.take(~again))
+    clock = read_clock(time[~again], rows=samples.rows)
+    if clock.flaw:
+        raise LogError(f"{at} {clock.flaw}; {clock.cure}")
+    notices += [f"{at} {text}." for text in clock.notices]
+    samples, step = replace(samples, time=clock.time), np.diff(clock.time)
     usual = float(np.median(step))
     if samples.angular_velocity is not None and usual > SLOWEST_GYROSCOPE:
         near = min((1e3, "ms"), (1e6, "us"), (1e9, "ns"), key=lambda u: abs(np.log(usual / u[0] / 0.01)))

@@ -136,7 +136,9 @@ def find_settled(parts: Sequence[Stretch]) -> list[Stretch]:
         run = max(runs, key=len)
         end = size * (run[-1] + 1)
         rest = one.value[end:] if run[-1] == len(step) else one.value[:0]
-        if len(rest) and abs(rest.mean() - one.value[end - size : end].mean()) <= limit * np.sqrt(size / len(rest)):
+        if len(rest) and abs(rest.mean() - one.value[end - size : end].mean()) <= limit * np.sqrt(
+            size / len(rest)
+        ):
             end = len(one.value)
         rows = slice(size * run[0], end)
         if len(step) < 2:

@@ -412,7 +412,9 @@ def guess_topics(path: Path, *, walk: bool) -> str:
                 if connection.topic not in firsts or connection.msgtype == JOINTS:
                     message = message_of(path, reader, connection, data)
                     firsts.setdefault(connection.topic, message)
-                    joints.setdefault(connection.topic, {}).update(dict.fromkeys(getattr(message, "name", ())))
+                    joints.setdefault(connection.topic, {}).update(
+                        dict.fromkeys(getattr(message, "name", ()))
+                    )
     counts = [name for name in firsts if COUNTS.fullmatch(kinds[name])]
     feet = sorted(counts or (name for name in firsts if kinds[name] in WRENCHES))
     channels = [(name, field) for name in feet for field in _channels(firsts[name])]

@@ -7,6 +7,7 @@ times of all of these, and reports what it did. Units are those of the mapping f
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,9 @@ CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # units of time besides seconds, 
 EPOCH = 1e8  # s, three years: a larger time is one since 1970
 
 JOINED = 10.0 * MAX_GAP  # s between two sessions of one file once they are joined: a gap for every command
-COARSEST = 1.0  # s, the coarsest unit that loggers write; a time that is repeated for longer means a stopped clock
+COARSEST = (
+    1.0  # s, the coarsest unit that loggers write; a time that is repeated for longer means a stopped clock
+)
 OVERFLOWS = (2.0**32, *(2.0**32 * unit for unit in CLOCKS.values()), 2.0**16 * CLOCKS["ms"], 86400.0, 3600.0)
 """Times in s after which clocks begin again at zero: counters of 32 bits by their unit, counters of 16 bits in
 milliseconds, and times of day at midnight, or at the full hour where they have minutes and seconds alone."""
@@ -51,31 +54,33 @@ class Clock:
         return self.notices[-1].partition(";")[0] if len(self.sessions) > 1 else ""
 
 
-def read_clock(stamps: Floats, *, spread: bool = True) -> Clock:
+def read_clock(stamps: Floats, *, spread: bool = True, rows: NDArray[np.int64] | None = None) -> Clock:
     """Read the column of times of a log, in s, shape (N,).
 
     Overflows are undone. Rows that share a time are spread evenly up to the next one, unless ``spread`` is
     false. A session that begins before the end of the one before it is moved behind it by a gap of
-    :data:`JOINED`, so that sessions stay apart. Disorder and a stopped clock are flaws.
+    :data:`JOINED`, so that sessions stay apart. Disorder and a stopped clock are flaws. ``rows`` are the numbers
+    of the rows in messages, (N,).
     """
+    number = np.arange(len(stamps)) if rows is None else rows
     if len(stamps) < 2:
         return Clock(stamps, flaw="has one row alone", cure="record some seconds.")
     if not np.isfinite(stamps).all():
         row = int(np.argmin(np.isfinite(stamps)))
         cure = "drop the row or interpolate the column."
-        return Clock(stamps, flaw=f"is {stamps[row]} at row {row}", cure=cure, row=row)
-    time, notices = _undo_overflow(stamps)
+        return Clock(stamps, flaw=f"is {stamps[row]} at row {number[row]}", cure=cure, row=row)
+    time, notices = _undo_overflow(stamps, number)
     back = np.flatnonzero(np.diff(time) < 0.0) + 1
     if len(back) and (disorder := _disorder(time, back)):
-        flaw = _describe("goes back", time, back)
+        flaw = _describe("goes back", time, back, number)
         return Clock(stamps, flaw=flaw, cure=disorder, row=int(back[0]))
     sessions = (0, *back.tolist())
     parts = np.split(time, back)
     if spread:
         for first, part in zip(sessions, parts, strict=True):
             if (row := _stopped(part)) >= 0:
-                flaw = f"stands still at {part[row]:.13g} s from row {first + row} on"
-                cure = "write the time of each row, or say under [rates] how many rows a second there are."
+                flaw = f"stands still at {part[row]:.13g} s from row {number[first + row]} on"
+                cure = "write the time of each row, or leave the column out."
                 return Clock(stamps, flaw=flaw, cure=cure, row=first + row)
         repeats = int(sum((np.diff(part) == 0.0).sum() for part in parts))
         if repeats:
@@ -85,7 +90,7 @@ def read_clock(stamps: Floats, *, spread: bool = True) -> Clock:
             )
             parts = [_spread(part) for part in parts]
     if len(back):
-        begins = _describe("begins again", time, back)
+        begins = _describe("begins again", time, back, number)
         notices += (f"{begins}; the sessions were kept apart by a gap of {JOINED:g} s",)
     return Clock(np.concatenate(list(_join(parts))), sessions, notices, row=sessions[len(back) > 0])
 
@@ -108,7 +113,7 @@ def unit_of_times(step: float, dt: float = np.nan) -> str:
     return ""
 
 
-def _undo_overflow(stamps: Floats) -> tuple[Floats, tuple[str, ...]]:
+def _undo_overflow(stamps: Floats, number: NDArray[Any]) -> tuple[Floats, tuple[str, ...]]:
     """Return times of a counter that has not overflowed, and notices of its overflows."""
     step = np.diff(stamps)
     forward = step[step > 0.0]
@@ -120,16 +125,16 @@ def _undo_overflow(stamps: Floats) -> tuple[Floats, tuple[str, ...]]:
             times = np.concatenate([[0.0], np.cumsum(over * span)]) + stamps
             many = f", and {over.sum() - 1} more times" if over.sum() > 1 else ""
             return times, (
-                f"goes back by {-step[row - 1]:.10g} s at row {row}{many}, as a clock does that overflows after "
+                f"goes back by {-step[row - 1]:.10g} s at row {number[row]}{many}, as a clock does that overflows after "
                 f"{span:.10g} s; its times were continued",
             )
     return stamps, ()
 
 
-def _describe(what: str, time: Floats, back: NDArray[np.intp]) -> str:
+def _describe(what: str, time: Floats, back: NDArray[np.intp], number: NDArray[Any]) -> str:
     row, many = int(back[0]), len(back)
     more = f", and at {many - 1} more rows" if many > 2 else ", and at one more row" * (many > 1)
-    return f"{what} at row {row} ({time[row - 1]:.13g} s, then {time[row]:.13g} s){more}"
+    return f"{what} at row {number[row]} ({time[row - 1]:.13g} s, then {time[row]:.13g} s){more}"
 
 
 def _disorder(time: Floats, back: NDArray[np.intp]) -> str:

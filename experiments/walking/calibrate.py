@@ -136,7 +136,9 @@ def _judge(log: Log, start: str, initial: Parameters, file: str, accept: str) ->
 def _write_walk(path: Path, facts: Facts) -> None:
     """Write the table of every sample in blocks of rows, so that memory never holds all columns at once."""
     blocks = (slice(first, first + WRITTEN) for first in range(0, len(facts.log), WRITTEN))
-    parts = (replace(facts, log=facts.log.cut(rows), estimate=take_rows(facts.estimate, rows)) for rows in blocks)
+    parts = (
+        replace(facts, log=facts.log.cut(rows), estimate=take_rows(facts.estimate, rows)) for rows in blocks
+    )
     tables = (pa.table(_walk_columns(part)) for part in parts)
     first = next(tables)
     with pq.ParquetWriter(path, first.schema) as writer:

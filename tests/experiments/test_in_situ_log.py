@@ -139,6 +139,19 @@ def test_rows_that_are_there_twice_are_dropped(tmp_path: Path) -> None:
     assert any("set '1': 1 rows repeat the row before them" in notice for notice in log.notices)
 
 
+def test_equal_times_and_a_restart_of_the_logger_within_a_set(tmp_path: Path) -> None:
+    frame = table()
+    frame["time_s"] = np.where(frame.index < 25, frame["time_s"], frame["time_s"] - 2.45)
+    frame.loc[7, "time_s"] = frame.loc[6, "time_s"]
+    log = read_in_situ_log(write(tmp_path, frame))
+    time = log.sets[0].time
+    assert time is not None
+    np.testing.assert_allclose(np.diff(time)[[6, 7, 24]], [0.1, 0.1, 1.0], atol=0.051)
+    assert any(
+        "set '1': column 'time_s' begins again at row 25 (2.4 s, then 0.05 s)" in one for one in log.notices
+    )
+
+
 def test_a_touch_of_the_end_of_the_range_is_left_out(tmp_path: Path) -> None:
     frame = pd.concat([table()] * 5, ignore_index=True)
     frame["set"] = 1

@@ -78,9 +78,9 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
         with_cell(9, "time_s", 0.05),
         r"set '1': column 'time_s' goes back at row 9 \(0.8 s, then",
     ),
-    "two values at once": (
-        with_cell(7, "time_s", 0.6),
-        "set '1': column 'time_s' is 0.6 s at rows 6 and 7, which differ",
+    "a clock that stands": (
+        with_cell(slice(5, 40), "time_s", 0.6),
+        "set '1': column 'time_s' stands still at 0.6 s from row 5 on; write the time of each row",
     ),
     "set without a name": (with_cell(3, "set", np.nan), "column 'set' is empty at row 3"),
     "unknown set": (
@@ -200,7 +200,7 @@ def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
         ("empty.csv", "", r"empty\.csv: is empty"),
         (
             "ragged.csv",
-            "a,b\n1,2\n3\n",
+            "a,b\n1,2\n3\n4,5\n",
             r"ragged\.csv: not a readable table \(CSV parse error: Expected 2 columns, got 1.*whole",
         ),
         (

@@ -188,7 +188,8 @@ BAD_COLUMNS: dict[str, tuple[Change, str]] = {
     ),
     "out of order": (
         lambda t: t.iloc[[0, 2, 1, *range(3, 120)]],
-        "column 'time_s' does not increase at row 2 (-0.18 s, then -0.19 s); sort the rows.",
+        "column 'time_s' goes back at row 2 (-0.18 s, then -0.19 s); packets came late: sort the rows by "
+        "their time.",
     ),
     "packets that do not count": (
         lambda t: t.assign(packet=1),
