@@ -188,7 +188,7 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
 
 
 def _series_of(topic: str, time: Floats, columns: Mapping[str, Floats]) -> tuple[Series, str]:
-    """Return messages in order of time without those that repeat one, and a notice with a place for its clock."""
+    """Return messages in order of time, without repeated times, and a notice with a place for its clock."""
     kept = np.unique(time, return_index=True)[1]
     one = Series(topic, time[kept], {name: values[kept] for name, values in columns.items()})
     rate = f", {1.0 / one.period:.4g} a second" if len(kept) > 1 else ""

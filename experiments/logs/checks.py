@@ -75,9 +75,10 @@ def _check_quaternion(values: dict[str, Floats], stem: str, file: str) -> None:
 
 
 def clock_of(stamps: Floats, file: str, *, spread: bool = True, joined: bool | None = None) -> Clock:
-    """Read a column of times in s, (N,); LogError if it has a flaw, or several sessions that are not ``joined``.
+    """Read a column of times in s, (N,).
 
-    ``joined`` is ``None`` where no option joins them; ``spread`` is that of :func:`read_clock`.
+    Raises LogError if it has a flaw, or several sessions and ``joined`` is not true; it is ``None`` where no
+    option joins them. ``spread`` is that of :func:`read_clock`.
     """
     clock, at = read_clock(stamps, spread=spread), f"{file}: column 'time_s'"
     if clock.flaw:
@@ -95,7 +96,7 @@ SPLIT = ", or keep them apart with --split-gaps."
 
 
 def check_time(time: Floats, dt: float, max_gap: float, file: str) -> None:
-    """Raise LogError if times in s, shape (N,), which increase, leap or do not step as the description says."""
+    """Raise LogError if increasing times in s, shape (N,), leap or do not step as the description says."""
     step = np.diff(time)
     leaps = _say_leaps(step, max_gap)
     median = float(np.median(step))

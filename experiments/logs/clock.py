@@ -1,8 +1,8 @@
 """The clock of a log: the times of its rows in s, whatever its logger wrote.
 
-Loggers write times of day, counters of 32 bits that overflow, seconds without fractions, one time for a whole
-packet of rows, and append a second session to the file of the first. :func:`read_clock` makes increasing
-times of all of these, and reports what it did. Units are those of the mapping file; a time since 1970 is kept.
+Loggers write times of day, counters of 32 bits that overflow, seconds without fractions, and one time for a
+whole packet of rows, and some append a second session to the file of the first. :func:`read_clock` makes
+increasing times of all of these and reports what it did. Times since 1970 are kept as they are.
 """
 
 from collections.abc import Iterator
@@ -25,8 +25,8 @@ COARSEST = (
     1.0  # s, the coarsest unit that loggers write; a time that is repeated for longer means a stopped clock
 )
 OVERFLOWS = (2.0**32, *(2.0**32 * unit for unit in CLOCKS.values()), 2.0**16 * CLOCKS["ms"], 86400.0, 3600.0)
-"""Times in s after which clocks begin again at zero: counters of 32 bits by their unit, counters of 16 bits in
-milliseconds, and times of day at midnight, or at the full hour where they have minutes and seconds alone."""
+"""Times in s after which clocks begin again at zero: counters of 32 bits by their unit, counters of 16 bits
+in milliseconds, times of day at midnight, and times of minutes and seconds alone at the full hour."""
 
 NEAR = 16  # rows by which late packets may be out of order; sorting moves no row farther
 FEWEST = 8  # median rows of a session below which the rows of a file are in no order at all
@@ -59,8 +59,8 @@ def read_clock(stamps: Floats, *, spread: bool = True, rows: NDArray[np.int64] |
 
     Overflows are undone. Rows that share a time are spread evenly up to the next one, unless ``spread`` is
     false. A session that begins before the end of the one before it is moved behind it by a gap of
-    :data:`JOINED`, so that sessions stay apart. Disorder and a stopped clock are flaws. ``rows`` are the numbers
-    of the rows in messages, (N,).
+    :data:`JOINED`, so that sessions stay apart. Disorder and a stopped clock are flaws. Messages number the
+    rows by ``rows``, (N,), by default from 0 on.
     """
     number = np.arange(len(stamps)) if rows is None else rows
     if len(stamps) < 2:
@@ -101,7 +101,7 @@ def find_gaps(step: Floats, max_gap: float = MAX_GAP) -> NDArray[np.bool_]:
 
 
 def origin_of(time: float) -> float:
-    """Return what to subtract from times in s that begin here, so that single precision holds milliseconds."""
+    """Return what to subtract from times in s that begin here, so that single precision can hold them."""
     return time if abs(time) > EPOCH else 0.0
 
 
@@ -124,9 +124,9 @@ def _undo_overflow(stamps: Floats, number: NDArray[Any]) -> tuple[Floats, tuple[
             row = int(np.argmax(over)) + 1
             times = np.concatenate([[0.0], np.cumsum(over * span)]) + stamps
             many = f", and {over.sum() - 1} more times" if over.sum() > 1 else ""
+            where = f"goes back by {-step[row - 1]:.10g} s at row {number[row]}{many}"
             return times, (
-                f"goes back by {-step[row - 1]:.10g} s at row {number[row]}{many}, as a clock does that overflows after "
-                f"{span:.10g} s; its times were continued",
+                f"{where}, as a clock does that overflows after {span:.10g} s; its times were continued",
             )
     return stamps, ()
 
@@ -166,7 +166,7 @@ def _spread(time: Floats) -> Floats:
     usual = float(np.median(step[:-1] / count[:-1]))
     each = np.minimum(step / count, usual)
     place = np.arange(len(time)) - np.repeat(first, count)
-    found = time + place * np.repeat(each, count)
+    found: Floats = time + place * np.repeat(each, count)
     begun = count[0] > 1 and step[0] - count[0] * usual > usual
     if begun:  # The log began in the middle of its first second.
         found[: count[0]] = time[first[1]] - usual * np.arange(count[0], 0, -1)

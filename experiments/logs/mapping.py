@@ -123,7 +123,7 @@ def _fits(pattern: str, file: str, name: str) -> bool:
 
 
 def _specificity(pattern: str) -> tuple[bool, int]:
-    """Return how specific a pattern is: one with a file comes before one without, and letters before ``*``."""
+    """Return how specific a pattern is: whether it names a file, and its number of letters besides ``*``."""
     return ":" in pattern, len(pattern.replace("*", ""))
 
 

@@ -100,7 +100,7 @@ class LogTable:
             if column.null_count or not column.num_chunks:
                 return np.asarray(column.to_numpy(), dtype=np.float64)
             # to_numpy() imports pandas, which takes longer than to read a log. One chunk needs no copy.
-            chunks = [np.from_dlpack(chunk) for chunk in column.chunks]
+            chunks: list[Floats] = [np.from_dlpack(chunk) for chunk in column.chunks]
             return chunks[0] if len(chunks) == 1 else np.concatenate(chunks)
         if pa.types.is_time(kind):  # a time of day: seconds since midnight
             values = column.cast(pa.time64("ns")).cast(pa.int64())
@@ -127,7 +127,7 @@ class LogTable:
 _TIME_OF_DAY = re.compile(
     r"(?:[\d./-]+[T ]+)?(?:(?P<h>\d{1,2}):)?(?P<m>\d{1,2}):(?P<s>\d{1,2}(?:[.,]\d+)?)\s*(?P<half>[AaPp][Mm])?"
 )
-"""A time of day, perhaps behind a date. The clock of a log notices midnight, so that the date is not needed."""
+"""A time of day, perhaps behind a date, which is not needed: the clock of a log continues at midnight."""
 
 
 def _seconds(clock: re.Match[str]) -> float:
@@ -205,7 +205,7 @@ def _ends_with(path: Path, row: str) -> bool:
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - size, 0))
         tail = file.read().replace(b"\0", b"").rstrip(b"\r\n")
-    return tail.endswith(row.encode("utf-8").strip()) or tail.endswith(row.encode("cp1252", "ignore").strip())
+    return tail.endswith((row.strip().encode(), row.strip().encode("cp1252", "ignore")))
 
 
 def _parquet_of(path: Path) -> pa.Table:

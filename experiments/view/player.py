@@ -25,9 +25,9 @@ SIZE = 1.0  # length in m by which the scene of a log is scaled: its robot is no
 class LogFeet:
     """A log, read by its sensors' data sheet and by a method, sample by sample, from its beginning.
 
-    ``time`` holds the times of the samples in s, since the first one if the log's are since 1970. Raises LogError
-    if the log is not of a plate or two feet on load cells or never says where they are, ValueError if the method
-    does not exist.
+    ``time`` holds the times of the samples in s, since the first one if the log's are since 1970. Raises
+    LogError if the log is not of a plate or two feet on load cells or never gives their places, ValueError if
+    the method does not exist.
     """
 
     def __init__(self, log: Log, method: str) -> None:

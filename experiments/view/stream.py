@@ -74,8 +74,8 @@ class StreamFeet:
     """A robot's feet, row by row, read by their data sheet and by a method.
 
     Rows hold the columns of a log. Without columns of references the feet are alone, which only the methods
-    ``tare`` and ``none`` can calibrate. Raises LogError if the description is not one of a plate or of two feet
-    on load cells, ValueError if the method does not exist.
+    ``tare`` and ``none`` can calibrate. Raises LogError if the description is not of a plate or two feet on
+    load cells, ValueError if the method does not exist.
     """
 
     def __init__(self, description: Path, method: str) -> None:

@@ -53,7 +53,8 @@ ODD: dict[str, tuple[pd.DataFrame, tuple[str, str, bool]]] = {
         channels(time_s=np.where(TIME > 12.5, TIME - 10.0, TIME)),
         (
             "13.5 s",
-            "Column 'time_s' begins again at row 1001 (12.5 s, then 2.5125 s), as when a logger was restarted.",
+            "Column 'time_s' begins again at row 1001 (12.5 s, then 2.5125 s), as when a logger was "
+            "restarted.",
             False,
         ),
     ),
@@ -207,8 +208,8 @@ FEET: dict[str, tuple[Callable[[pd.DataFrame, dict[str, Any]], Any], str]] = {
     "a restarted logger": (
         lambda table, told: table.assign(time_s=table["time_s"] - 3.1 * (table.index > 400)),
         "column 'time_s' begins again at row 401 (4 s, then 0.91 s), as when a logger was restarted. Sorting "
-        "would mix the sessions: cut the file there and calibrate the parts one by one, or keep them apart with "
-        "--split-gaps.",
+        "would mix the sessions: cut the file there and calibrate the parts one by one, or keep them apart "
+        "with --split-gaps.",
     ),
     "cells in millimetres": (
         lambda table, told: told["layout"][0].update(position_cell_sole_m=[[-60, 0], [50, 20], [100, 0]]),
@@ -442,7 +443,7 @@ def test_a_last_row_that_was_cut_off_is_left_out_and_noted(tmp_path: Path) -> No
     assert len(found.raw) == ROWS - 1
     assert found.notices == ("rig.csv: the last row is cut off, and was left out.",)
     (tmp_path / "rig.csv").write_text(text.replace("\n0.125,", "\n0.125;"))
-    with pytest.raises(LogError, match="not a readable table .*Expected 3 columns, got 2"):
+    with pytest.raises(LogError, match=r"not a readable table .*Expected 3 columns, got 2"):
         read_recording(tmp_path / "rig.csv")
 
 
