@@ -1,48 +1,55 @@
-"""MuJoCo environments of bipeds, and sensors for any other one: they know the truth and nothing else."""
+"""MuJoCo environments of bipeds, and sensors for any other one: they know the truth and nothing else.
 
-from surefoot.extras import not_installed
+Modules are loaded when one of their names is asked for: a robot that reads its own model needs MuJoCo and no
+Gymnasium.
+"""
 
-try:
-    from surefoot.envs.command import Command
-    from surefoot.envs.exercise.env import ExerciseEnv
-    from surefoot.envs.gait.pattern import plan_walk
-    from surefoot.envs.instrumentation.drawing import RobotDrawing
-    from surefoot.envs.instrumentation.env import InstrumentedEnv
-    from surefoot.envs.instrumentation.picture import FeetDrawing
-    from surefoot.envs.instrumentation.reader import FeetReader
-    from surefoot.envs.instrumentation.spec import instrument
-    from surefoot.envs.instrumentation.truth import FeetTruth
-    from surefoot.envs.leg_rig.env import LegRigEnv
-    from surefoot.envs.leg_rig.spec import ADDED_MASSES
-    from surefoot.envs.nao.balance import NaoBalanceEnv
-    from surefoot.envs.nao.carry import NaoCarryEnv
-    from surefoot.envs.nao.env import NaoEnv
-    from surefoot.envs.nao.stand import NaoStandEnv
-    from surefoot.envs.nao.walk import NaoWalkEnv
-    from surefoot.envs.prelude import Prelude
-    from surefoot.envs.robots.library import load_robot_spec
-    from surefoot.envs.robots.nao import load_nao_spec
-except ModuleNotFoundError as missing:
-    raise not_installed(__name__, missing, "sim") from None
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "ADDED_MASSES",
-    "Command",
-    "ExerciseEnv",
-    "FeetDrawing",
-    "FeetReader",
-    "FeetTruth",
-    "InstrumentedEnv",
-    "LegRigEnv",
-    "NaoBalanceEnv",
-    "NaoCarryEnv",
-    "NaoEnv",
-    "NaoStandEnv",
-    "NaoWalkEnv",
-    "Prelude",
-    "RobotDrawing",
-    "instrument",
-    "load_nao_spec",
-    "load_robot_spec",
-    "plan_walk",
-]
+from surefoot.extras import names_of
+
+if TYPE_CHECKING:
+    from surefoot.envs.command import Command as Command
+    from surefoot.envs.exercise.env import ExerciseEnv as ExerciseEnv
+    from surefoot.envs.gait.pattern import plan_walk as plan_walk
+    from surefoot.envs.instrumentation.drawing import RobotDrawing as RobotDrawing
+    from surefoot.envs.instrumentation.env import InstrumentedEnv as InstrumentedEnv
+    from surefoot.envs.instrumentation.picture import FeetDrawing as FeetDrawing
+    from surefoot.envs.instrumentation.reader import FeetReader as FeetReader
+    from surefoot.envs.instrumentation.spec import instrument as instrument
+    from surefoot.envs.instrumentation.truth import FeetTruth as FeetTruth
+    from surefoot.envs.leg_rig.env import LegRigEnv as LegRigEnv
+    from surefoot.envs.leg_rig.spec import ADDED_MASSES as ADDED_MASSES
+    from surefoot.envs.nao.balance import NaoBalanceEnv as NaoBalanceEnv
+    from surefoot.envs.nao.carry import NaoCarryEnv as NaoCarryEnv
+    from surefoot.envs.nao.env import NaoEnv as NaoEnv
+    from surefoot.envs.nao.stand import NaoStandEnv as NaoStandEnv
+    from surefoot.envs.nao.walk import NaoWalkEnv as NaoWalkEnv
+    from surefoot.envs.prelude import Prelude as Prelude
+    from surefoot.envs.robots.library import load_robot_spec as load_robot_spec
+    from surefoot.envs.robots.nao import load_nao_spec as load_nao_spec
+
+_MODULES = {
+    "ADDED_MASSES": "surefoot.envs.leg_rig.spec",
+    "Command": "surefoot.envs.command",
+    "ExerciseEnv": "surefoot.envs.exercise.env",
+    "FeetDrawing": "surefoot.envs.instrumentation.picture",
+    "FeetReader": "surefoot.envs.instrumentation.reader",
+    "FeetTruth": "surefoot.envs.instrumentation.truth",
+    "InstrumentedEnv": "surefoot.envs.instrumentation.env",
+    "LegRigEnv": "surefoot.envs.leg_rig.env",
+    "NaoBalanceEnv": "surefoot.envs.nao.balance",
+    "NaoCarryEnv": "surefoot.envs.nao.carry",
+    "NaoEnv": "surefoot.envs.nao.env",
+    "NaoStandEnv": "surefoot.envs.nao.stand",
+    "NaoWalkEnv": "surefoot.envs.nao.walk",
+    "Prelude": "surefoot.envs.prelude",
+    "RobotDrawing": "surefoot.envs.instrumentation.drawing",
+    "instrument": "surefoot.envs.instrumentation.spec",
+    "load_nao_spec": "surefoot.envs.robots.nao",
+    "load_robot_spec": "surefoot.envs.robots.library",
+    "plan_walk": "surefoot.envs.gait.pattern",
+}
+
+__all__ = [*_MODULES]
+__getattr__, __dir__ = names_of(__name__, _MODULES, "sim")

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from surefoot.robot.beliefs.references import Beliefs as Beliefs
     from surefoot.robot.calibration import CalibrationSetup as CalibrationSetup
     from surefoot.robot.calibration import RobotCalibration as RobotCalibration
+    from surefoot.robot.robot_state import RobotState as RobotState
     from surefoot.robot.sensing.equipment import Equipment as Equipment
     from surefoot.robot.sensing.sensors import RobotSensors as RobotSensors
     from surefoot.sensors.telemetry.computer import Telemetry as Telemetry
@@ -30,6 +31,7 @@ _MODULES = {
     "Equipment": "surefoot.robot.sensing.sensors",
     "NominalModel": "surefoot.robot.beliefs.nominal",
     "RobotCalibration": "surefoot.robot.calibration",
+    "RobotState": "surefoot.robot.robot_state",
     "RobotSensors": "surefoot.robot.sensing.sensors",
     "Telemetry": "surefoot.sensors.telemetry.computer",
     "TelemetryLayout": "surefoot.sensors.telemetry.computer",

@@ -5,7 +5,6 @@ do. Beliefs are those of :mod:`surefoot.robot.beliefs`, packet by packet, but no
 """
 
 from math import ceil
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,29 +16,21 @@ from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.motion import Motion
 from surefoot.experiments.logs.table import LogError
 from surefoot.robot.beliefs.believed import nothing, unknown
-from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import native_beliefs
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs
+from surefoot.robot.model_file import ModelPartError, nominal_model, read_spec, touching_points
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet
 
-_IMU = "surefoot_imu"
-
 POSTURES, MOVES = 8, 1e-3  # postures that are looked at; move of a sole in m, or of its axes, that counts
-
-_NOT_NEEDED = (
-    "geoms", "tendons", "actuators", "sensors", "equalities", "excludes", "keys", "skins", "meshes",
-    "hfields", "textures", "materials",
-)  # fmt: skip
-"""Parts that need files or that a posture does not; what refers to others goes first."""
 
 
 def load_model(facts: MotionFacts, file: str) -> tuple[NominalModel, Floats]:
     """Load a drawing as the robot's own model, and the rotation from the IMU's axes to the torso's, (3, 3).
 
-    Raises LogError if it cannot be read, lacks a part, or is no robot on hinges.
+    Raises LogError if it cannot be read, lacks a part, or does not consist of a floating body and hinges.
     """
     if not facts.model.is_file():
         raise LogError(
@@ -47,78 +38,14 @@ def load_model(facts: MotionFacts, file: str) -> tuple[NominalModel, Floats]:
             "log's folder."
         )
     try:
-        spec = mujoco.MjSpec.from_file(str(facts.model))
-        # A URDF's fixed links are places; fused they would be lost, and the base with them.
-        spec.compiler.fusestatic = False
-        _check_place(spec, facts.torso, "torso", file, bodies_only=True)
-        for name, role in ((facts.imu, "imu"), *((name, "soles") for name in facts.soles)):
-            _check_place(spec, name, role, file)
-        _fix_masses(spec)
-        for part in _NOT_NEEDED:
-            for element in list(getattr(spec, part)):
-                spec.delete(element)
-        torso = spec.body(facts.torso)
-        if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in torso.joints):
-            torso.add_freejoint()
-        for name in facts.soles:
-            if spec.site(name) is None:
-                spec.body(name).add_site(name=name)
-        R_torso_imu = _place_imu(spec, facts, file)
-        nominal = NominalModel(spec, NO_ERRORS, sites=(_IMU, *facts.soles), torso=facts.torso)
-    except LogError:
-        raise
+        return nominal_model(read_spec(facts.model), facts.torso, facts.imu, facts.soles)
+    except ModelPartError as error:
+        raise LogError(f"{file}: the description's motion.{error}") from None
     except (ValueError, mujoco.FatalError) as error:
         cure = ""
         if "opening file" in str(error):
             cure = "; a link without a mass takes it from its mesh: put the file there, or give it its mass."
         raise LogError(f"{file}: the model '{facts.model.name}' cannot be used: {error}{cure}") from None
-    return nominal, R_torso_imu
-
-
-def _check_place(spec: Any, name: str, role: str, file: str, *, bodies_only: bool = False) -> None:
-    """Raise LogError if a name is neither that of a body nor, where it may be one, of a site."""
-    bodies = [body.name for body in spec.bodies if body.name != "world"]
-    sites = [] if bodies_only else [site.name for site in spec.sites]
-    if name not in bodies + sites:
-        there = f"the sites {sites} and the bodies {bodies}" if not bodies_only else f"the bodies {bodies}"
-        raise LogError(
-            f"{file}: the description's motion.{role} '{name}' is not in the model; it has {there}."
-        )
-
-
-def _fix_masses(spec: Any) -> None:
-    """Write down the masses that follow from shapes, before the shapes go."""
-    bodies = [body for body in spec.bodies[1:] if not body.explicitinertial and len(body.geoms)]
-    if not bodies:
-        return
-    full = spec.copy().compile()
-    for body in bodies:
-        if not body.name:
-            raise ValueError("a body without a name takes its mass from its shapes; name every body.")
-        row = full.body(body.name).id
-        body.explicitinertial = True
-        body.mass = float(full.body_mass[row])
-        body.ipos, body.iquat = full.body_ipos[row].copy(), full.body_iquat[row].copy()
-        body.inertia = full.body_inertia[row].copy()
-
-
-def _place_imu(spec: Any, facts: MotionFacts, file: str) -> Floats:
-    """Put a site where the IMU is; return the rotation from its axes to the torso's."""
-    model = spec.copy().compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    torso, is_site = data.body(facts.torso), spec.site(facts.imu) is not None
-    place = data.site(facts.imu) if is_site else data.body(facts.imu)
-    owner = model.body_weldid[model.site_bodyid[place.id] if is_site else place.id]
-    if owner != torso.id:
-        raise LogError(
-            f"{file}: the IMU '{facts.imu}' is not fixed to the torso '{facts.torso}' but to "
-            f"'{model.body(owner).name}'; name the body that carries the IMU as motion.torso."
-        )
-    R_world_torso = torso.xmat.reshape(3, 3)
-    spec.body(facts.torso).add_site(name=_IMU, pos=R_world_torso.T @ (place.xpos - torso.xpos))
-    R: Floats = R_world_torso.T @ place.xmat.reshape(3, 3)
-    return R
 
 
 def moving_soles(model: NominalModel, joint: Floats) -> list[str]:
@@ -189,13 +116,6 @@ def make_beliefs(
         reference._replace(angular_momentum_rate=scale * reference.angular_momentum_rate),
         momentum._replace(angular_momentum=scale * momentum.angular_momentum),
     )
-
-
-def touching_points(layout: FeetLayout) -> Floats:
-    """Points of the soles that may touch the ground, in their frames, and radius 0, in m, (F, n, 4)."""
-    points = [np.zeros((1, 3)) if f.position_cell_sole is None else f.position_cell_sole for f in layout.feet]
-    most = max(map(len, points))
-    return np.stack([np.pad(np.resize(part, (most, 3)), ((0, 0), (0, 1))) for part in points])
 
 
 def _has_neighbours(motion: Motion, place: NDArray[np.intp]) -> NDArray[np.bool_]:

@@ -22,6 +22,7 @@ from surefoot.robot.beliefs.lag import packets_per_join, usual_lag
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs
 from surefoot.robot.beliefs.references import Beliefs
+from surefoot.robot.model_file import touching_points
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Link
 
@@ -69,7 +70,7 @@ def parameters_of_log(log: Log, initial: Parameters, **options: Any) -> tuple[di
     facts = log.motion
     if facts is None:
         return {}, f"the log has no joints, IMU and drawing ('motion' in {page('log-format')})."
-    from surefoot.experiments.logs.model import load_model, touching_points
+    from surefoot.experiments.logs.model import load_model
 
     model, R_torso_imu = load_model(facts, facts.model.name)
     link = Link(rate=1.0 / facts.dt_s, delay=facts.delay_s, jitter=0.0)

@@ -11,13 +11,14 @@ from _ros2 import PACKAGE, build, needs_cpp, run, spoken, write_parameters
 
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, FootLayout, OnlineSetup, Parameters
 from surefoot.experiments.logs.format import Log, read_log, write_log
-from surefoot.experiments.logs.model import load_model, touching_points
+from surefoot.experiments.logs.model import load_model
 from surefoot.experiments.logs.motion import ACCELEROMETER, GYROSCOPE
 from surefoot.experiments.walking.calibrate import calibrate_log
 from surefoot.experiments.walking.ros2 import node_parameters, write_node_parameters
 from surefoot.robot import Beliefs, TelemetryLayout
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import native_beliefs
+from surefoot.robot.model_file import touching_points
 from surefoot.sensors.transport.link import Packet
 
 FROZEN, TARED, HUNG, TOLD, END = 400, 420, 480, 520, 640

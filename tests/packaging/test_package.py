@@ -95,7 +95,7 @@ def test_calibration_imports_on_a_robot_without_a_simulator() -> None:
 @pytest.mark.parametrize(
     ("statements", "missing", "extra"),
     [
-        (["import surefoot.envs"], "gymnasium", "sim"),
+        (["surefoot.envs.NaoWalkEnv"], "gymnasium", "sim"),
         (["surefoot.wrappers.FootSensors", "surefoot.robot.NominalModel"], "mujoco", "sim"),
         (["import surefoot.wrappers.gpu"], "torch", "gpu"),
         (["from surefoot.experiments import read_log"], "pyarrow", "experiments"),
