@@ -30,10 +30,18 @@ from surefoot.calibration.moment.modes import (
 from surefoot.calibration.moment.motion import Track
 from surefoot.calibration.moment.repairs import Repairs
 from surefoot.calibration.moment.severity import FIRST_RATE, Severity, Weighed
-from surefoot.calibration.moment.state import Belief, Kept, MomentState, Publication, TareState
+from surefoot.calibration.moment.state import (
+    Belief,
+    Kept,
+    MomentState,
+    Publication,
+    TareState,
+    VersusStartState,
+)
 from surefoot.calibration.moment.still import Still
 from surefoot.calibration.moment.suspects import CONTRAST, Leap
 from surefoot.calibration.moment.tare import NOISE_TIME, Tare
+from surefoot.calibration.moment.versus_start import VersusStart
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
 
@@ -109,7 +117,7 @@ class MomentFilter:
         leaps = max(LEAP, LEAP_RATE * setup.dt), max(LEAP_ALONE, LEAP_ALONE_RATE * setup.dt)
         leaps = (np.inf, np.inf) if six_axis else leaps
         self.faults = ChannelFaults(setup, *leaps, SHARES_TIME / config.block)
-        self.repairs = Repairs(layout, setup.weight, self.faults, columns)
+        self.repairs = Repairs(layout, setup.weight, self.faults, columns, VersusStart(columns, config))
         self.blocks = Blocks(self.front_end, config.block, self.faults)
         self._first_mean, self.first_variance = first_mean(columns), first_variance(columns, spread, config)
         self.reading_noise = config.tare_noise * float(np.sqrt(NOISE_TIME / setup.dt)) * setup.weight
@@ -156,6 +164,7 @@ class MomentFilter:
             tare=tare,
             still=self.still.init(),
             suspects=self.repairs.suspects.init(self.blocks.capacity),
+            versus_start=VersusStartState.begin(columns.components),
             shift=zero,
             published=published,
             covariance=self._map_covariance(published, 1.0),
@@ -221,6 +230,7 @@ class MomentFilter:
             belief=belief,
             drifted=0.0,
             suspects=fresh.suspects,
+            versus_start=fresh.versus_start,
             published=published,
             covariance=self._map_covariance(published, state.tare.rate),
             kept=Kept.begin(belief, published, state.tare),

@@ -13,8 +13,10 @@ from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Columns
 from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.model import Rows
+from surefoot.calibration.moment.modes import HELD, MODES
 from surefoot.calibration.moment.state import Belief, MomentState
 from surefoot.calibration.moment.suspects import Leap, Suspects
+from surefoot.calibration.moment.versus_start import VersusStart
 
 
 class Repairs:
@@ -28,10 +30,19 @@ class Repairs:
 
     Attributes:
         suspects: Who may be guilty.
+        versus_start: Compares the learnt map with the starting map.
     """
 
-    def __init__(self, layout: FeetLayout, weight: float, faults: ChannelFaults, columns: Columns) -> None:
+    def __init__(
+        self,
+        layout: FeetLayout,
+        weight: float,
+        faults: ChannelFaults,
+        columns: Columns,
+        versus_start: VersusStart,
+    ) -> None:
         self._weight, self._faults, self._columns = weight, faults, columns
+        self.versus_start = versus_start
         self.suspects = Suspects(layout, faults.stand_in.cells, columns)
 
     def weigh(
@@ -63,6 +74,11 @@ class Repairs:
         moved, added = moved[momentum, momentum], added[momentum]
         suspects = self.suspects.read(suspects, block.force)
         suspects = suspects._replace(before=moved @ suspects.before + added, error=moved @ suspects.error)
+        if MODES[likeliest] is not HELD:
+            compared = self.versus_start.take(
+                state.versus_start, rows, suspects.before, state.published.mean, block.duration
+            )
+            state = state._replace(versus_start=compared)
         as_stated = known.copy()
         as_stated[columns.scale], as_stated[columns.drift] = 1.0, 0.0
         as_stated[columns.offset] = -state.tare.reading

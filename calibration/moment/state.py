@@ -2,7 +2,10 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from surefoot.calibration.arrays import Array
+from surefoot.calibration.comparison import SURE
 from surefoot.calibration.front_end.readings import FrontState
 from surefoot.calibration.moment.faults import ChannelState
 from surefoot.calibration.moment.motion import Track
@@ -74,6 +77,28 @@ class SuspectState(NamedTuple):
     force: Array  # F0 of the samples of the last two blocks and more in W, shape (n, K)
 
 
+class VersusStartState(NamedTuple):
+    """Residuals of both maps; C components."""
+
+    time: float  # of the blocks so far in s, at most the memory of the comparison
+    learnt_mean: Array  # mean residual of the learnt map, shape (C,)
+    learnt_square: Array  # mean square of it, shape (C,)
+    start_mean: Array  # mean residual of the starting map, shape (C,)
+    start_square: Array  # mean square of it, shape (C,)
+    evidence: float  # for the starting map, as a logarithm
+
+    @classmethod
+    def begin(cls, components: int) -> "VersusStartState":
+        """Return the state before any block."""
+        zero = np.zeros(components)
+        return cls(0.0, zero, zero, zero, zero, 0.0)
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the learnt map is surely worse than the start."""
+        return self.evidence > SURE
+
+
 class MomentState(NamedTuple):
     """All that the moment filter remembers."""
 
@@ -92,6 +117,7 @@ class MomentState(NamedTuple):
     tare: TareState  # results of tares
     still: StillState  # readings of late
     suspects: SuspectState  # evidence against the readings
+    versus_start: VersusStartState  # residuals of the learnt and of the starting map
     shift: Array  # by how much zeros have leapt together in N, which is taken off the readings, shape (K,)
     published: Publication  # the published posterior
     covariance: Array  # covariance of (a, b) by it, b in N, shape (2K, 2K)
