@@ -1,4 +1,4 @@
-r"""Whether a map that was learnt is worse than the map that it started from, by rows that neither was learnt from.
+r"""Compare a learnt map with the starting map, by rows that neither was learnt from.
 
 A row is the difference between what the robot's motion requires and what the feet measure: a force, or a
 torque. Each map leaves a residual in it. Of n independent rows with Gaussian errors of unknown size, the

@@ -70,6 +70,10 @@ class Flag(IntFlag):
     HELD = 32768
     """Something besides the feet carries or pushes the robot: nothing is learnt from its motion."""
 
+    WORSE_THAN_START = 65536
+    """The starting map would agree with the robot's motion and weight better than the learnt map does, by
+    samples that neither was learnt from: reset the calibration, or look for a fault of the robot's model."""
+
 
 ALL_FLAGS = int(~Flag(0))  # every flag at once
 

@@ -60,6 +60,7 @@ typedef struct {
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, least_published;
     sf_real leg_time, spin_time, first_speed, fastest;
+    sf_real versus_slack[SF_COMPONENTS], versus_memory, versus_independent, versus_sure;
     sf_real sure, contrast, alike, smallest_step, least_error, suspect_share, suspect_noise[2], suspect_surprise;
 } sf_moment_config;
 
@@ -104,6 +105,12 @@ typedef struct {
     sf_real known[SF_KNOWN], force[(2 * SF_BLOCK + 2) * SF_CHANNELS];
 } sf_suspects;
 
+/* VersusStartState */
+typedef struct {
+    sf_real time, learnt_mean[SF_COMPONENTS], learnt_square[SF_COMPONENTS];
+    sf_real start_mean[SF_COMPONENTS], start_square[SF_COMPONENTS], evidence;
+} sf_versus_start;
+
 /* Leap */
 typedef struct {
     sf_real reading[SF_CHANNELS], std[SF_CHANNELS];
@@ -120,6 +127,7 @@ typedef struct {
     sf_tares tare;
     sf_still still;
     sf_suspects suspects;
+    sf_versus_start versus_start;
     sf_real shift[SF_CHANNELS];
     sf_modes belief;
     sf_publication published;
@@ -1033,7 +1041,7 @@ SF_API void sf_line(const sf_config *c, const sf_publication *p, sf_real *a, sf_
 /* MomentFilter._estimate: apply the map to the newest sample, and say how sure it is. */
 SF_API void sf_moment_estimate(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s,
                                  const sf_sample *sample, sf_estimate *out) {
-    int K = c->channels, wide = 2 * K;
+    int K = c->channels, wide = 2 * K, worse = s->versus_start.evidence > m->versus_sure ? SF_WORSE_THAN_START : 0;
     const sf_real *F0 = sample->force, *S = s->covariance;
     const sf_channel_faults *faults = &s->faults;
     sf_real a[SF_CHANNELS], b[SF_CHANNELS], force[SF_CHANNELS], moved[SF_CHANNELS], change[SF_CHANNELS];
@@ -1045,7 +1053,7 @@ SF_API void sf_moment_estimate(const sf_config *c, const sf_moment_config *m, co
         moved[i] = a[i] * sample->change[i];
         out->scale[i] = a[i] * c->scale[i];
         out->offset[i] = a[i] * (c->offset[i] - s->shift[i]) + b[i];
-        out->flags[i] = sample->flags[i] | s->status;
+        out->flags[i] = sample->flags[i] | s->status | worse;
     }
     for (int i = 0; i < K; i++) {
         out->force[i] = faults->altered ? sf_dot(faults->spare + i * K, force, K) : force[i];
@@ -1356,6 +1364,7 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
     int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c, m) - 2;
     sf_break(c, m, s);
     memset(&s->suspects, 0, sizeof s->suspects);
+    memset(&s->versus_start, 0, sizeof s->versus_start);
     for (int i = 0; i < K; i++) s->suspects.known[i] = 1;
     for (int r = 0; r < m->components; r++) s->suspects.noise[r] = 1;
     memset(s->belief.mean, 0, (size_t)(SF_MODES * N) * sizeof(sf_real));
@@ -1702,6 +1711,49 @@ SF_API void sf_read_suspects(const sf_config *c, const sf_moment_config *m, sf_s
     for (int t = 0; t < n; t++) sf_copy(s->force + (kept - n + t) * K, samples + t * wide, K);
 }
 
+/* VersusStart._residual, as a mean force in W and a mean torque in W m: of the map x, or of the start if x is NULL. */
+SF_API void sf_residual(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows, const sf_real *before,
+                        const sf_real *x, const sf_real *span, sf_real *e) {
+    int K = c->channels, N = sf_states(c, m);
+    for (int r = 0; r < m->components; r++) {
+        sf_real explained = rows->mean_rest[r];
+        for (int i = 0; i < K; i++)
+            explained += rows->crossed[(r * K + i) * K + i] * (x ? x[i] : 1) +
+                         (x ? rows->mean[r * N + K + i] * (x[K + i] + x[2 * K + i]) : 0);
+        e[r] = (rows->measured[r] - before[r] - explained) / span[r];
+    }
+}
+
+/* Residuals.include and unexplained: take in a row, and return the mean square that an error of the robot's own model does
+   not explain. */
+SF_API sf_real sf_include(sf_real *mean, sf_real *square, sf_real e, sf_real share, sf_real slack, sf_real floor) {
+    sf_real beyond, varying;
+    *mean += share * (e - *mean);
+    *square += share * (e * e - *square);
+    beyond = sf_max(sf_fabs(*mean) - slack, 0);
+    varying = sf_max(*square - *mean * *mean, 0);
+    return varying + beyond * beyond + floor;
+}
+
+/* VersusStart.take: compare the published map with the start by a block that neither was learnt from. */
+SF_API void sf_take_versus_start(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows,
+                                 const sf_real *before, const sf_real *learnt, sf_versus_start *s) {
+    int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m) + C;
+    sf_real span[SF_COMPONENTS], now[SF_COMPONENTS], then[SF_COMPONENTS], share, total = 0;
+    s->time = sf_min(s->time + rows->duration, m->versus_memory);
+    share = rows->duration / s->time;
+    for (int r = 0; r < C; r++) span[r] = rows->mean[r * N + at + r];
+    sf_residual(c, m, rows, before, learnt, span, now);
+    sf_residual(c, m, rows, before, NULL, span, then);
+    for (int r = 0; r < C; r++) {
+        sf_real floor = (2 * rows->variance[r * C + r] + rows->walk[r * C + r]) / (span[r] * span[r]);
+        sf_real slack = m->versus_slack[r];
+        sf_real q = sf_include(s->learnt_mean + r, s->learnt_square + r, now[r], share, slack, floor);
+        total += sf_log(q / sf_include(s->start_mean + r, s->start_square + r, then[r], share, slack, floor));
+    }
+    s->evidence = (sf_real)0.5 * s->time / m->versus_independent * total;
+}
+
 /* Repairs.weigh: hold the readings' faults against the block of w->rows. */
 SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, int n, const sf_real step[3],
                       const sf_real *published, int likeliest, sf_moment_work *w) {
@@ -1712,6 +1764,8 @@ SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_s
     sf_copy(known, published, M);
     sf_copy(known + M, w->belief.mean + likeliest * N + 3 * K, 4 + m->talks);
     sf_read_suspects(c, m, &s->suspects, s->pending, n);
+    if (likeliest != m->held)
+        sf_take_versus_start(c, m, &w->rows, s->suspects.before, s->published.mean, &s->versus_start);
     sf_miss(c, m, &s->faults, &w->rows, s->suspects.before, &s->tare, known);
     guilty = sf_weigh_suspects(c, m, &s->suspects, &s->faults, &w->rows, known, s->published.covariance,
                                w->belief.covariance + likeliest * N * N, &w->leap);
@@ -1931,7 +1985,10 @@ SF_API int sf_moment_step(const sf_config *c, const sf_moment_config *m, sf_mome
     sf_sample sample;
     sf_check(c, &s->front, raw, reference, 0, dt, &sample);
     sf_fault_sample(c, &s->faults, s->published.mean, reference->stance, sample.force, sample.read, kinds);
-    for (int i = 0; i < K; i++) sample.force[i] -= s->shift[i];
+    for (int i = 0; i < K; i++) {
+        sample.force[i] -= s->shift[i];
+        if (s->faults.lost[i] > (sf_real)0.5) s->front.silent[i] = 0; /* others stand in for it */
+    }
     sf_align(c, &s->front, &sample);
     if (sample.gap && dt > 0 && sf_finite(dt)) sf_age(c, m, s, sf_min(dt, m->longest_pause));
     for (int foot = 0; foot < c->feet; foot++) lies = lies && sf_rotation(c, s->front.motion, foot)[8] < m->level;

@@ -83,7 +83,8 @@ enum {
     SF_SWAPPED = 4096,
     SF_LOST = 8192,
     SF_SATURATED = 16384,
-    SF_HELD = 32768
+    SF_HELD = 32768,
+    SF_WORSE_THAN_START = 65536
 };
 
 /* Places in a flat reference; behind them the soles' positions (3 each) and rotations (9 each). */
@@ -94,6 +95,7 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 
 /* Constants of the Python modules, by their names there. */
 #define SF_LONGEST_GAP 5.0
+#define SF_MOST_SILENCE ((sf_real)3600)
 #define SF_SLOPE_SAMPLES 3
 #define SF_LARGEST_REFERENCE ((sf_real)1e6)
 #define SF_FARTHEST ((sf_real)5)
@@ -129,7 +131,7 @@ typedef struct {
     int foot_of_channel[SF_CHANNELS];
     int cells[SF_CHANNELS]; /* 1 for a cell under a plate: others cannot be reconstructed */
     int together[SF_CHANNELS * SF_CHANNELS]; /* 1 for two cells of one plate */
-    sf_real dt, weight, mass, gravity, length, reach, force_threshold;
+    sf_real dt, weight, mass, gravity, length, reach, force_threshold, longest_silence;
     sf_real carried[SF_CHANNELS]; /* by how long each is carried on to now in s; 0 for readings without an age */
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
@@ -149,6 +151,7 @@ typedef struct {
 /* What the way of a sample remembers, with any method: FrontState. */
 typedef struct {
     sf_real raw[SF_CHANNELS], history[(SF_LAG + 1) * 2 * SF_CHANNELS], motion[SF_MOTION];
+    sf_real silent[SF_CHANNELS]; /* time in s since each channel was last read */
     sf_whole known, clean;
 } sf_front;
 
@@ -401,7 +404,8 @@ SF_API void sf_check(const sf_config *c, sf_front *s, const sf_real *raw, const 
         sample->read[i] = raw[i] >= c->lowest[i] && raw[i] <= c->highest[i];
         sample->flags[i] = (sample->read[i] ? 0 : raw[i] == raw[i] ? SF_OUT_OF_RANGE : SF_MISSING) |
                            (sample->sound ? 0 : SF_REFERENCE) | (sample->gap ? SF_GAP : 0);
-        if (sample->read[i]) s->raw[i] = raw[i];
+        if (sample->read[i]) s->raw[i] = raw[i], s->silent[i] = 0;
+        else s->silent[i] = sf_min(s->silent[i] + (dt > 0 && dt < SF_MOST_SILENCE ? dt : c->dt), SF_MOST_SILENCE);
         sample->force[i] = c->scale[i] * s->raw[i] + c->offset[i];
     }
     if (sample->sound) sf_copy(s->motion, motion, R);
@@ -443,23 +447,28 @@ SF_API void sf_align(const sf_config *c, sf_front *s, sf_sample *sample) {
 
 /* FrontEnd.report: what calibrated forces mean. rows: of sf_level_rows; returns the load on all feet in N. */
 SF_API sf_real sf_report(const sf_config *c, const sf_front *s, const sf_real *rows, sf_estimate *out) {
-    int K = c->channels;
+    int K = c->channels, stale = 0;
     sf_real load = 0;
     for (int foot = 0; foot < c->feet; foot++) {
         sf_real *wrench = out->wrench + 6 * foot, *cop = out->cop_foot + 2 * foot;
+        int of_now = 1;
         for (int axis = 0; axis < 6; axis++)
             wrench[axis] = sf_dot(c->wrench_map + (foot * 6 + axis) * K, out->force, K);
         out->vgrf[foot] = 0;
         for (int i = 0; i < K; i++)
-            if (c->foot_of_channel[i] == foot) out->vgrf[foot] += rows[i] * out->force[i];
+            if (c->foot_of_channel[i] == foot) {
+                out->vgrf[foot] += rows[i] * out->force[i];
+                of_now = of_now && s->silent[i] <= c->longest_silence;
+            }
         load += out->vgrf[foot];
-        out->cop_foot_valid[foot] = wrench[SF_FZ] > c->force_threshold;
+        stale = stale || !of_now;
+        out->cop_foot_valid[foot] = of_now && wrench[SF_FZ] > c->force_threshold;
         cop[0] = out->cop_foot_valid[foot] ? -wrench[SF_MY] / wrench[SF_FZ] + 0 : (sf_real)NAN;
         cop[1] = out->cop_foot_valid[foot] ? wrench[SF_MX] / wrench[SF_FZ] + 0 : (sf_real)NAN;
     }
     for (int i = 0; i < K; i++) out->undetermined[i] = (sf_real)NAN;
     for (int foot = 0; foot < c->feet; foot++) out->contact_probability[foot] = (sf_real)NAN;
-    out->cop_valid = load > c->force_threshold && s->known;
+    out->cop_valid = !stale && load > c->force_threshold && s->known;
     for (int axis = 0; axis < 2; axis++)
         out->cop[axis] = out->cop_valid ? sf_dot(rows + (1 + axis) * K, out->force, K) / load + 0 : (sf_real)NAN;
     sf_copy(out->cop_measured, out->cop, 2);

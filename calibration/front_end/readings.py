@@ -9,6 +9,8 @@
   long before they are compared. The map that is learnt applies to the newest reading.
 * **Age.** Forces that are older when they are read are carried on to now
   (:mod:`surefoot.calibration.front_end.ages`).
+* **Silence.** A held reading says nothing of a load that has changed since. After :data:`LONGEST_SILENCE`
+  without a reading of a channel its foot has no centre of pressure, and neither have all feet together.
 * **Linear rows.** The level wrench of the feet is linear in the channels: (Fz, Fz px, Fz py) = rows @ F.
 """
 
@@ -30,6 +32,13 @@ from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineSetup
 
 LONGEST_GAP = 5.0  # time between samples, in nominal ones, beyond which they no longer belong together
+LONGEST_SILENCE = 0.25
+"""Time in s without a reading of a channel after which its last one is not of now: within a step's single
+support of 0.3 s a foot is loaded or lifted, and a serial bus has gaps of up to 0.125 s. Of slow samples it is
+:data:`LONGEST_GAP` of them."""
+
+MOST_SILENCE = 3600.0  # time in s up to which silence is counted
+
 Repair = Callable[[Array, Array], tuple[Array, Array]]
 """Takes the newest forces and whether they were read, and hands back those to go on with."""
 
@@ -44,6 +53,7 @@ class FrontState(NamedTuple):
     motion: Array  # the last good reference, flat, shape (R,)
     known: bool  # whether any reference was good so far
     clean: int  # good samples since the last bad one
+    silent: Array  # time in s since each channel was last read, at most an hour, shape (K,)
 
 
 class Sample(NamedTuple):
@@ -63,6 +73,7 @@ class Sample(NamedTuple):
     known: bool  # whether any reference was good so far
     flags: Array  # flaws of the newest readings and the reference, shape (K,)
     gap: bool  # whether the clock jumped, so that the last sample and this one do not belong together
+    silent: Array  # time in s since each channel was last read, shape (K,)
 
 
 class FrontEnd:
@@ -71,7 +82,8 @@ class FrontEnd:
     Arguments are those of :class:`~surefoot.calibration.front_end.motion.Motions`. ``plausible`` are the
     least and the greatest reading of each channel that is not taken for an error, (K,) each; ``carried`` by
     how many s each is carried on to now, (K,); ``kept`` how many samples before the newest one are
-    remembered; ``limits`` the bounds of the leaves of a :class:`FrontState`.
+    remembered; ``limits`` the bounds of the leaves of a :class:`FrontState`; ``longest_silence`` the time in s
+    for which a last reading counts.
     """
 
     def __init__(
@@ -91,7 +103,11 @@ class FrontEnd:
             "raw": (self.plausible[0] - 0.5 * span, self.plausible[1] + 0.5 * span),
             "history": (-made, made),
             "motion": (-LARGEST_REFERENCE, LARGEST_REFERENCE),
+            "silent": (0.0, MOST_SILENCE),
         }
+        self.longest_silence = max(LONGEST_SILENCE, LONGEST_GAP * setup.dt)
+        feet = np.arange(len(setup.layout.feet))[:, None]
+        self._of_foot = setup.layout.foot_of_channel == feet
         self.carried = extrapolation_time(setup)
         self._aged = bool(self.carried.any())
         self.kept = max(setup.lag, SLOPE_SAMPLES) if self._aged else setup.lag
@@ -105,6 +121,7 @@ class FrontEnd:
             motion=self.motions.resting.copy(),
             known=False,
             clean=0,
+            silent=np.zeros(self._channels),
         )
 
     def check(self, raw: Array, reference: Reference | MomentumReference) -> None:
@@ -133,6 +150,8 @@ class FrontEnd:
         gap = not 0.0 < dt <= LONGEST_GAP * self.setup.dt
 
         read, held, force, sure = self._read(state, raw, repair)
+        passed = dt if 0.0 < dt < MOST_SILENCE else self.setup.dt
+        silent = np.where(read, 0.0, np.minimum(state.silent + passed, MOST_SILENCE))
         history = np.vstack([state.history[1:], np.concatenate([force, sure])])
         past, past_read = np.split(history[self.kept - self.setup.lag], 2)
         past_read = past_read > 0.5
@@ -164,8 +183,9 @@ class FrontEnd:
             known=known,
             flags=flags,
             gap=gap,
+            silent=silent,
         )
-        return FrontState(held, history, motion, known, clean), sample
+        return FrontState(held, history, motion, known, clean, silent), sample
 
     def _read(
         self, state: FrontState, raw: Array, repair: Repair | None
@@ -245,7 +265,13 @@ class FrontEnd:
     def _centres(self, sample: Sample, force: Array) -> tuple[Array, Array, Array, Array]:
         """Return wrenches, (Fz, Fz px, Fz py) of the feet, and centres with where they are, of forces."""
         wrench, moments = self._wrench_map @ force, sample.rows @ force
-        return wrench, moments, *centres(wrench, moments, sample.known, self._threshold)
+        cop, loaded = centres(wrench, moments, sample.known, self._threshold)
+        stale = sample.silent > self.longest_silence
+        if stale.any():
+            there = np.append(~(self._of_foot & stale).any(axis=1), False)
+            loaded &= there
+            cop[~loaded] = np.nan
+        return wrench, moments, cop, loaded
 
 
 def centres(wrench: Array, moments: Array, known: bool, threshold: float) -> tuple[Array, Array]:

@@ -205,6 +205,9 @@ class MomentFilter:
             history, weight = front.history.copy(), self.setup.weight
             history[-2] = self.faults.smooth(history[-3], history[-2], history[-1], weight)
             front = front._replace(history=history)
+        # Other channels stand in for one that is out.
+        silent = np.where(faults.lost > 0.5, 0.0, sample.silent)
+        front, sample = front._replace(silent=silent), sample._replace(silent=silent)
         state = state._replace(front=front, faults=faults)
         if sample.gap and 0.0 < dt < np.inf:
             state = self._age(state, min(dt, LONGEST_PAUSE))
@@ -398,7 +401,8 @@ class MomentFilter:
         force, ahead = (
             None if part is None else faults.spare @ (a * part + b) for part in (sample.force, sample.ahead)
         )
-        estimate = self.front_end.report(sample, force, c, d, kinds | state.status, None, ahead)
+        worse = int(Flag.WORSE_THAN_START) if state.versus_start.is_worse else 0
+        estimate = self.front_end.report(sample, force, c, d, kinds | state.status | worse, None, ahead)
         learnt = state.covariance
         return estimate._replace(
             **uncertainty(estimate, sample, learnt, faults.spare, faults.spare_std),

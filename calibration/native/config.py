@@ -5,11 +5,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.calibration import comparison
 from surefoot.calibration.baselines import SwingTare, tare
 from surefoot.calibration.front_end.ages import as_read
 from surefoot.calibration.front_end.filters import coefficients
 from surefoot.calibration.front_end.readings import FrontEnd
-from surefoot.calibration.moment import columns, health, model, modes, motion, severity, still, suspects
+from surefoot.calibration.moment import (
+    columns,
+    health,
+    model,
+    modes,
+    motion,
+    severity,
+    still,
+    suspects,
+    versus_start,
+)
 from surefoot.calibration.moment import filter as stream
 from surefoot.calibration.moment import tare as tares
 from surefoot.calibration.moment.config import Moment
@@ -139,6 +150,10 @@ def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
     own = {
         **{f"mode_{name}": [getattr(mode, name) for mode in modes.MODES] for name in modes.Mode._fields},
         "held": modes.MODES.index(modes.HELD),
+        "versus_slack": core.repairs.versus_start.slack,
+        "versus_memory": versus_start.MEMORY,
+        "versus_independent": comparison.INDEPENDENT,
+        "versus_sure": comparison.SURE,
         "talks": len(core.model.talk_to),
         "tare_variance": core.tare.variance,
         "tare_share": tares.LEAST_SHARE,

@@ -60,7 +60,8 @@ template <class M> using Subscription = typename rclcpp::Subscription<M>::Shared
 
 // Flags in the order of their bits.
 constexpr const char *FLAGS[] = {"MISSING", "OUT_OF_RANGE", "REFERENCE", "GAP",  "NO_CONTACT", "SINGULAR", "STANDING",  "REJECTED",
-                                 "SPIKE",   "STUCK",        "DEAD",      "FLIPPED", "SWAPPED", "LOST",     "SATURATED", "HELD"};
+                                 "SPIKE",   "STUCK",        "DEAD",      "FLIPPED", "SWAPPED", "LOST",     "SATURATED", "HELD",
+                                 "WORSE_THAN_START"};
 // Those that a healthy robot does not have for long.
 constexpr long long WRONG = SF_MISSING | SF_OUT_OF_RANGE | SF_GAP | SF_SINGULAR | SF_SPIKE | SF_STUCK | SF_DEAD |
                             SF_FLIPPED | SF_SWAPPED | SF_LOST | SF_SATURATED;
@@ -361,13 +362,14 @@ private:
         for (std::size_t foot = 0; foot < feet_.size(); foot++)
             add(status, "tare of " + feet_[foot], state_.tare.time[foot] < 0 ? "" : text(state_.time - state_.tare.time[foot]) + " s ago");
         const bool none = running_ && !samples_, blind = running_ && !frozen_ && samples_ && unknown_ == samples_;
-        status.level = none ? Status::ERROR : blind || all & WRONG ? Status::WARN : Status::OK;
+        status.level = none ? Status::ERROR : blind || all & (WRONG | SF_WORSE_THAN_START) ? Status::WARN : Status::OK;
         status.message = !running_ ? "stopped"
                          : none    ? "no sample of the feet came"
                          : frozen_ ? "frozen"
                          : blind   ? missing()
                          : all & WRONG   ? "channels have flags"
                          : all & SF_HELD ? "somebody holds the robot"
+                         : all & SF_WORSE_THAN_START ? "the learnt map is worse than the start"
                                          : "learning";
         Diagnostics message;
         message.header.stamp = now();
