@@ -40,8 +40,8 @@ class Residuals(NamedTuple):
         """Return those of rows, shape (N, C)."""
         return cls(rows.mean(axis=0), np.square(rows).mean(axis=0))
 
-    def include(self, row: Array, share: float) -> "Residuals":
-        """Return the means with one more row, shape (C,), which counts by a share."""
+    def include(self, row: Array, share: Array | float) -> "Residuals":
+        """Return the means with one more row, shape (C,), which counts by a share, shape (C,) or ()."""
         return Residuals(self.mean + share * (row - self.mean), self.square + share * (row**2 - self.square))
 
     def unexplained(self, slack: Array, floor: Array) -> Array:

@@ -17,7 +17,7 @@ from surefoot.calibration.online import MethodOptions, online_method, resolve_me
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.calibration.setup import setup_from_options
-from surefoot.calibration.state import load_state, save_state
+from surefoot.calibration.state import load_state, mass_share, read_note, save_state
 from surefoot.calibration.weights.curves import Curves
 from surefoot.calibration.weights.known_map import read_map
 from surefoot.names import plain_name
@@ -200,10 +200,13 @@ class FootCalibrator(OfOneVersion):
         """
         if self.state is None:
             raise RuntimeError("There is nothing to save before the first update().")
-        save_state(path, self.state, self.limits, **self._notes())
+        save_state(path, self.state, self.limits, **self._notes(), mass=repr(float(self.setup.mass)))
 
     def load(self, path: str | PathLike[str]) -> None:
         """Go on from a file that :meth:`save` wrote, bit for bit.
+
+        The robot's mass may have changed by up to a fifth since, such as with another battery. A warning says
+        so, and the map of the channels is kept.
 
         Raises:
             FileNotFoundError: If there is no such file.
@@ -211,7 +214,9 @@ class FootCalibrator(OfOneVersion):
                 impossible values; the calibration stays as it was.
         """
         fresh = self._pure.init(np.zeros(self.setup.layout.channels))
-        self.state = load_state(path, fresh, self.limits, **self._notes())
+        state = load_state(path, fresh, self.limits, **self._notes())
+        now = float(self.setup.mass)
+        self.state = self._pure.adopt(state, mass_share(path, float(read_note(path, "mass") or now), now))
 
     def _notes(self) -> dict[str, str]:
         """Name the setup that a saved state belongs to."""
@@ -224,7 +229,6 @@ class FootCalibrator(OfOneVersion):
             # Offsets of earlier versions stood behind the scale: their states would be misread.
             **({"unknowns": "F = a (F0 + o)"} if self.method == "moment" else {}),
             "channels": " ".join(setup.layout.channel_names),
-            "mass": repr(float(setup.mass)),
             # Files of earlier versions do not name it.
             **({"gravity": repr(float(setup.gravity))} if setup.gravity != GRAVITY else {}),
             "dt": repr(float(setup.dt)),

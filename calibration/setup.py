@@ -45,9 +45,12 @@ class OnlineMethod(_Functions):
             earlier state leave theirs as it is.
         limits: Least and greatest value that leaves of the state can have, by the last part of their names; a
             saved state beyond them is refused (:func:`surefoot.calibration.state.load_state`).
+        adopt: ``adopt(state, share) -> state`` goes on from a saved state of the same robot, whose former
+            weight was a share of the present one.
     """
 
     limits: Mapping[str, tuple[Any, Any]]
+    adopt: Callable[[Any, float], Any]
 
     def __new__(
         cls,
@@ -55,10 +58,11 @@ class OnlineMethod(_Functions):
         update: Callable[[Any, Array, Any, float], tuple[Any, Estimate]],
         retract: Callable[[Any], Any] = lambda state: state,
         limits: Mapping[str, tuple[Any, Any]] = MappingProxyType({}),
+        adopt: Callable[[Any, float], Any] = lambda state, share: state,
     ) -> "OnlineMethod":
-        """Keep the functions as a tuple, and the limits beside it."""
+        """Keep the functions as a tuple, and the rest beside it."""
         self = super().__new__(cls, init, update, retract)
-        self.limits = limits
+        self.limits, self.adopt = limits, adopt
         return self
 
 

@@ -8,6 +8,7 @@ edited one reaches a robot: shapes and dtypes, finite numbers, covariances that 
 that a method sets on its numbers.
 """
 
+import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -31,6 +32,7 @@ LARGEST = 2.0**53
 _ANY = (-LARGEST, LARGEST)
 _NO_LIMITS: Limits = MappingProxyType({})
 _FLAGS: Limits = {"status": (0, ALL_FLAGS), "kind": (0, ALL_FLAGS)}
+_LARGEST_FILE = 2**28  # bytes of a saved state of many robots
 _ROOM, _HEADER = 2**20, 256  # bytes of a file besides the numbers: notes, and what an array says of itself
 
 
@@ -47,6 +49,37 @@ def save_state(path: AnyPath, state: Any, limits: Limits = _NO_LIMITS, /, **note
     entries: dict[str, Any] = texts | {f"state.{name}": leaf for name, leaf in leaves.items()}
     with atomic_path(path) as part, part.open("wb") as file:
         np.savez(file, format=np.asarray(_FORMAT), **entries)
+
+
+LARGEST_MASS_CHANGE = 0.2
+"""Share by which a robot's mass may differ from that of a saved state: a battery, a payload, other shoes."""
+
+
+def mass_share(path: AnyPath, saved: float, now: float) -> float:
+    """Return the mass of a saved state as a share of the present one in kg; both are of one robot.
+
+    Warns if they differ; ValueError if they differ by so much that the state is another robot's.
+    """
+    if saved == now:
+        return 1.0
+    if not abs(saved / now - 1.0) <= LARGEST_MASS_CHANGE:
+        raise ValueError(
+            f"'{path}' was saved for mass '{saved:g}' kg, but this is '{now:g}' kg: more than "
+            f"{100 * LARGEST_MASS_CHANGE:.0f} % apart, it is another robot's. Give 'mass' in kg, or "
+            "calibrate afresh."
+        )
+    warnings.warn(
+        f"'{path}' was saved when the robot had a mass of {saved:g} kg, and now it has {now:g} kg. The map "
+        "of its channels is kept, and what was learnt of the mass and the centre of mass begins again.",
+        stacklevel=3,
+    )
+    return saved / now
+
+
+def read_note(path: AnyPath, name: str) -> str | None:
+    """Return a text of a saved state; ``None`` if the file has none of that name."""
+    text = read_arrays(path, _LARGEST_FILE).get(f"note.{name}")
+    return None if text is None else str(text)
 
 
 def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes: str) -> Any:
@@ -94,13 +127,19 @@ def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes
 
 
 def _check_notes(path: AnyPath, entries: Mapping[str, Any], notes: Mapping[str, str]) -> None:
-    """Raise ValueError unless a file was saved with these texts."""
+    """Raise ValueError, which names all that differ, unless a file was saved with these texts."""
+    different = []
     for name, text in notes.items():
         if f"note.{name}" not in entries:
-            raise ValueError(f"'{path}' holds no {name}, but '{text}' is wanted: another's file.")
+            raise ValueError(
+                f"'{path}' does not say for which {name} it was saved, and '{text}' is needed: it is of "
+                "something else, or of another version of surefoot. Calibrate afresh."
+            )
         saved = str(entries[f"note.{name}"])
         if saved != text:
-            raise ValueError(f"'{path}' was saved for {name} '{saved}', but this is '{text}'.")
+            different.append(f"{name} '{saved}', but this is '{text}'")
+    if different:
+        raise ValueError(f"'{path}' was saved for {'; for '.join(different)}.")
 
 
 def _robots(leaves: Mapping[str, Any]) -> int:

@@ -60,7 +60,7 @@ typedef struct {
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, least_published;
     sf_real leg_time, spin_time, first_speed, fastest;
-    sf_real versus_slack[SF_COMPONENTS], versus_memory, versus_independent, versus_sure;
+    sf_real versus_slack[SF_COMPONENTS], versus_explained, versus_memory, versus_independent, versus_sure;
     sf_real sure, contrast, alike, smallest_step, least_error, suspect_share, suspect_noise[2], suspect_surprise;
 } sf_moment_config;
 
@@ -108,7 +108,7 @@ typedef struct {
 /* VersusStartState */
 typedef struct {
     sf_real time, learnt_mean[SF_COMPONENTS], learnt_square[SF_COMPONENTS];
-    sf_real start_mean[SF_COMPONENTS], start_square[SF_COMPONENTS], evidence;
+    sf_real start_mean[SF_COMPONENTS], start_square[SF_COMPONENTS], precision[SF_COMPONENTS], evidence;
 } sf_versus_start;
 
 /* Leap */
@@ -1737,19 +1737,25 @@ SF_API sf_real sf_include(sf_real *mean, sf_real *square, sf_real e, sf_real sha
 
 /* VersusStart.take: compare the published map with the start by a block that neither was learnt from. */
 SF_API void sf_take_versus_start(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows,
-                                 const sf_real *before, const sf_real *learnt, sf_versus_start *s) {
+                                 const sf_real *before, const sf_real *learnt, int held, sf_versus_start *s) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m) + C;
-    sf_real span[SF_COMPONENTS], now[SF_COMPONENTS], then[SF_COMPONENTS], share, total = 0;
-    s->time = sf_min(s->time + rows->duration, m->versus_memory);
-    share = rows->duration / s->time;
-    for (int r = 0; r < C; r++) span[r] = rows->mean[r * N + at + r];
+    sf_real span[SF_COMPONENTS], floor[SF_COMPONENTS], now[SF_COMPONENTS], then[SF_COMPONENTS], share, total = 0;
+    for (int r = 0; r < C; r++) {
+        span[r] = rows->mean[r * N + at + r];
+        floor[r] = (2 * rows->variance[r * C + r] + rows->walk[r * C + r]) / (span[r] * span[r]);
+    }
     sf_residual(c, m, rows, before, learnt, span, now);
     sf_residual(c, m, rows, before, NULL, span, then);
+    for (int r = 0; held && r < C; r++)
+        if (sf_fabs(then[r]) > m->versus_slack[r] + m->versus_explained * sf_sqrt(floor[r])) return;
+    s->time = sf_min(s->time + rows->duration, m->versus_memory);
+    share = rows->duration / s->time;
     for (int r = 0; r < C; r++) {
-        sf_real floor = (2 * rows->variance[r * C + r] + rows->walk[r * C + r]) / (span[r] * span[r]);
-        sf_real slack = m->versus_slack[r];
-        sf_real q = sf_include(s->learnt_mean + r, s->learnt_square + r, now[r], share, slack, floor);
-        total += sf_log(q / sf_include(s->start_mean + r, s->start_square + r, then[r], share, slack, floor));
+        sf_real slack = m->versus_slack[r], counts, noise, q;
+        s->precision[r] += share * (1 / floor[r] - s->precision[r]);
+        counts = share / (floor[r] * s->precision[r]), noise = 1 / s->precision[r];
+        q = sf_include(s->learnt_mean + r, s->learnt_square + r, now[r], counts, slack, noise);
+        total += sf_log(q / sf_include(s->start_mean + r, s->start_square + r, then[r], counts, slack, noise));
     }
     s->evidence = (sf_real)0.5 * s->time / m->versus_independent * total;
 }
@@ -1764,8 +1770,7 @@ SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_s
     sf_copy(known, published, M);
     sf_copy(known + M, w->belief.mean + likeliest * N + 3 * K, 4 + m->talks);
     sf_read_suspects(c, m, &s->suspects, s->pending, n);
-    if (likeliest != m->held)
-        sf_take_versus_start(c, m, &w->rows, s->suspects.before, s->published.mean, &s->versus_start);
+    sf_take_versus_start(c, m, &w->rows, s->suspects.before, s->published.mean, likeliest == m->held, &s->versus_start);
     sf_miss(c, m, &s->faults, &w->rows, s->suspects.before, &s->tare, known);
     guilty = sf_weigh_suspects(c, m, &s->suspects, &s->faults, &w->rows, known, s->published.covariance,
                                w->belief.covariance + likeliest * N * N, &w->leap);

@@ -10,9 +10,10 @@
 //     foot.update(counts);                                      // once a conversion; SurefootFoot::NONE for none
 //     foot.force(0); foot.load(); foot.x(); foot.y(); foot.hasCop(); foot.faults(0);
 //
-// Zeros drift. They are followed while the foot hangs: as the robot says by hangs(true), or by itself while the load is
-// below followBelow(N). It is the swing tare of surefoot_window.h, with its checks: readings that spread or are far from
-// the last zeros are of no foot in the air.
+// Zeros drift. They are followed while the foot hangs: as the robot says by hangs(true), or by itself while no cell bears
+// more than followBelow(N). It is the swing tare of surefoot_window.h, with its checks: it rejects readings that spread or
+// are far from the last zeros. A foot that seems to pull at the ground was tared under load: it has the fault REJECTED, and
+// with followBelow() it is tared again as soon as it hangs still.
 
 #ifndef SUREFOOT_FOOT_H
 #define SUREFOOT_FOOT_H
@@ -38,8 +39,8 @@ public:
     static const int CELLS = SUREFOOT_CELLS;
     static const long NONE = LONG_MIN;  // a reading that did not arrive
 
-    // Faults of a cell, as bits: no reading came, one at an end of the converter, one that leapt away alone and was
-    // held, always the same one, a tare that was none, a time between readings that is none.
+    // Faults of a cell, as bits: no reading came, a reading at an end of the converter, one that leapt away alone and was
+    // held, always the same reading, a tare that was rejected or made under load, an impossible time between readings.
     enum Fault {
         MISSING = SF_MISSING,
         RAILED = SF_SATURATED,
@@ -57,6 +58,7 @@ public:
         config_.dt = 1 / rate;
         config_.weight = weight;
         config_.force_threshold = threshold;
+        config_.longest_silence = fmaxf(SILENCE, (float)SF_LONGEST_GAP / rate);
         config_.leap = fmaxf(LEAP, LEAP_RATE / rate) * weight;
         for (int i = 0; i < CELLS; i++) {
             config_.wrench_map[SF_FZ * CELLS + i] = 1;
@@ -93,7 +95,7 @@ public:
     // Whether the robot knows that the foot is in the air.
     void hangs(bool inAir) { hangs_ = inAir; }
 
-    // Take the foot to hang while its load is below this, N; 0 leaves that to hangs().
+    // The foot hangs while neither it nor any of its cells bears more than this, N; 0 leaves that to hangs().
     void followBelow(float load) { follow_ = load; }
 
     // Take in one reading of each cell. dt: time since the last ones in s, the nominal one by default.
@@ -101,7 +103,9 @@ public:
         sf_real raw[CELLS];
         check(counts, raw);
         // A long swing is many short ones: zeros that drift are not averaged over all of it.
-        const bool inAir = taring_ || hangs_ || (follow_ > 0 && fabsf(load()) < follow_);
+        const bool unloaded = follow_ > 0 && bearsAtMost(follow_), pulls = !taring_ && load() < -LIMIT * config_.weight;
+        if (pulls && unloaded) tare();
+        const bool inAir = taring_ || hangs_ || unloaded;
         swing_ = inAir && swing_ < longest_ ? swing_ + 1 : 0;
         reference_.swing[0] = swing_ > 0;
         tare_.limit = taring_ ? INFINITY : LIMIT * config_.weight;
@@ -112,15 +116,21 @@ public:
             // What was left out says why by itself.
             faults_[i] |= flags & (faults_[i] ? SF_GAP | SF_REJECTED : SF_MISSING | SF_GAP | SF_REJECTED);
             moved = moved || flags & SF_REJECTED;
+            // No sole pulls: its zeros were taken under load.
+            if (pulls) faults_[i] |= REJECTED;
         }
         if (taring_ && swing_ == longest_ && !moved) rebase();
     }
 
     float force(int cell) const { return estimate_.force[cell]; }      // N
     float load() const { return estimate_.wrench[SF_FZ]; }             // N, of all cells
-    bool hasCop() const { return estimate_.cop_foot_valid[0]; }
-    float x() const { return estimate_.cop_foot[0]; }                  // m in the sole's frame, NaN without load
-    float y() const { return estimate_.cop_foot[1]; }
+    bool hasCop() const {  // without load, with a cell at its rail or dead, or silent for 0.25 s, there is none
+        for (int i = 0; i < CELLS; i++)
+            if (faults_[i] & (RAILED | DEAD)) return false;
+        return estimate_.cop_foot_valid[0];
+    }
+    float x() const { return hasCop() ? estimate_.cop_foot[0] : NAN; }  // m in the sole's frame, NaN without a CoP
+    float y() const { return hasCop() ? estimate_.cop_foot[1] : NAN; }
     unsigned faults(int cell) const { return faults_[cell]; }          // bits of Fault
     float scale(int cell) const { return config_.scale[cell]; }        // N per count
     float offset(int cell) const { return config_.offset[cell] + state_.offset[cell]; }  // N, for setMap() after a restart
@@ -130,6 +140,8 @@ private:
     // calibration/moment/filter.py. In s, readings, and weights.
     static constexpr float SETTLE = 0.05f, SPREAD = 0.01f, LIMIT = 0.2f, LEAP = 0.25f, LEAP_RATE = 40.0f;
     static const int FEWEST = 10;
+    // In s, as LONGEST_SILENCE in calibration/front_end/readings.py.
+    static constexpr float SILENCE = 0.25f;
     // The ends of 24 bits, at which an HX711 stands that is driven too far.
     static constexpr float END = 8388606;
     // Readings in a row that are the same: an HX711's noise is some 40 counts, of which two in a row are equal once in
@@ -143,6 +155,12 @@ private:
         for (int i = 0; i < CELLS; i++) leaps_[i] = SF_LONGEST_LEAP, last_[i] = 0;
     }
 
+    bool bearsAtMost(float most) const {
+        bool below = load() < most;
+        for (int i = 0; i < CELLS; i++) below = below && force(i) < most;
+        return below;
+    }
+
     // Zeros of a tare become those of the map, about which later ones may drift.
     void rebase() {
         for (int i = 0; i < CELLS; i++) config_.offset[i] += state_.offset[i];
@@ -151,7 +169,7 @@ private:
         longest_ = (int)(SWING / config_.dt);
     }
 
-    // Leave out what is no reading: NaN.
+    // Replace what is not a reading by NaN.
     void check(const long *counts, sf_real *raw) {
         float step[CELLS];
         for (int i = 0; i < CELLS; i++) {

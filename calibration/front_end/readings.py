@@ -82,8 +82,8 @@ class FrontEnd:
     Arguments are those of :class:`~surefoot.calibration.front_end.motion.Motions`. ``plausible`` are the
     least and the greatest reading of each channel that is not taken for an error, (K,) each; ``carried`` by
     how many s each is carried on to now, (K,); ``kept`` how many samples before the newest one are
-    remembered; ``limits`` the bounds of the leaves of a :class:`FrontState`; ``longest_silence`` the time in s
-    for which a last reading counts.
+    remembered; ``limits`` the bounds of the leaves of a :class:`FrontState`; ``longest_silence`` the time
+    in s for which a last reading counts.
     """
 
     def __init__(

@@ -29,6 +29,7 @@ from surefoot.calibration.moment.modes import (
 )
 from surefoot.calibration.moment.motion import Track
 from surefoot.calibration.moment.repairs import Repairs
+from surefoot.calibration.moment.reweigh import reweigh
 from surefoot.calibration.moment.severity import FIRST_RATE, Severity, Weighed
 from surefoot.calibration.moment.state import (
     Belief,
@@ -184,6 +185,20 @@ class MomentFilter:
             covariance=self._map_covariance(published, tare.rate),
             kept=Kept.begin(belief, published, tare),
         )
+
+    def adopt(self, state: MomentState, share: float) -> MomentState:
+        """Go on from a saved state; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
+        fresh = self.init(np.zeros(self._channels))
+        if share != 1.0:
+            state = reweigh(state, fresh, share, self.columns)
+            published = self._weigh(state.belief, state.drifted).publish(state.belief.chance)
+            state = state._replace(
+                published=published,
+                covariance=self._map_covariance(published, state.tare.rate),
+                kept=Kept.begin(state.belief, published, state.tare),
+            )
+        # Sensors may have changed while the robot was off.
+        return state._replace(versus_start=fresh.versus_start)
 
     def update(
         self, state: MomentState, raw: Array, reference: Reference | MomentumReference, dt: float
@@ -424,4 +439,4 @@ def moment_filter(setup: OnlineSetup, config: Moment | None = None) -> OnlineMet
         config: Options.
     """
     made = MomentFilter(setup, config or Moment())
-    return OnlineMethod(made.init, made.update, made.retract, made.limits)
+    return OnlineMethod(made.init, made.update, made.retract, made.limits, made.adopt)

@@ -74,11 +74,11 @@ class Repairs:
         moved, added = moved[momentum, momentum], added[momentum]
         suspects = self.suspects.read(suspects, block.force)
         suspects = suspects._replace(before=moved @ suspects.before + added, error=moved @ suspects.error)
-        if MODES[likeliest] is not HELD:
-            compared = self.versus_start.take(
-                state.versus_start, rows, suspects.before, state.published.mean, block.duration
-            )
-            state = state._replace(versus_start=compared)
+        held = MODES[likeliest] is HELD
+        compared = self.versus_start.take(
+            state.versus_start, rows, suspects.before, state.published.mean, block.duration, held
+        )
+        state = state._replace(versus_start=compared)
         as_stated = known.copy()
         as_stated[columns.scale], as_stated[columns.drift] = 1.0, 0.0
         as_stated[columns.offset] = -state.tare.reading

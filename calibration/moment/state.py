@@ -85,13 +85,14 @@ class VersusStartState(NamedTuple):
     learnt_square: Array  # mean square of it, shape (C,)
     start_mean: Array  # mean residual of the starting map, shape (C,)
     start_square: Array  # mean square of it, shape (C,)
+    precision: Array  # mean inverse variance of the noise of a block, shape (C,)
     evidence: float  # for the starting map, as a logarithm
 
     @classmethod
     def begin(cls, components: int) -> "VersusStartState":
         """Return the state before any block."""
         zero = np.zeros(components)
-        return cls(0.0, zero, zero, zero, zero, 0.0)
+        return cls(0.0, zero, zero, zero, zero, zero, 0.0)
 
     @property
     def is_worse(self) -> bool:

@@ -151,6 +151,7 @@ def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
         **{f"mode_{name}": [getattr(mode, name) for mode in modes.MODES] for name in modes.Mode._fields},
         "held": modes.MODES.index(modes.HELD),
         "versus_slack": core.repairs.versus_start.slack,
+        "versus_explained": versus_start.EXPLAINED,
         "versus_memory": versus_start.MEMORY,
         "versus_independent": comparison.INDEPENDENT,
         "versus_sure": comparison.SURE,

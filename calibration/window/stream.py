@@ -130,7 +130,13 @@ class SlidingWindow:
     def method(self) -> OnlineMethod:
         """The functions, and the limits of their state."""
         limits = self.front_end.limits | {"theta": (self.lowest, self.highest)}
-        return OnlineMethod(self.init, self.update, limits=limits)
+        return OnlineMethod(self.init, self.update, limits=limits, adopt=self.adopt)
+
+    def adopt(self, state: WindowState, share: float) -> WindowState:
+        """Go on from a saved state; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
+        K = self.setup.layout.channels
+        theta = np.concatenate([state.theta[:K], share * state.theta[K:]])
+        return state._replace(theta=np.clip(theta, self.lowest, self.highest))
 
     def init(self, raw: Array) -> WindowState:
         """Return the state before any sample; see :class:`~surefoot.calibration.online.OnlineMethod`."""

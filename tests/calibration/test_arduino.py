@@ -196,6 +196,39 @@ def test_faults_are_told_and_harm_no_other_cell(program: Path) -> None:
     assert not Seen(program, list(map(row, landing))).faults.any()
 
 
+@pytest.mark.parametrize("weight", [20.0, 47.0])
+def test_a_foot_that_was_tared_under_load_is_tared_again_when_it_hangs(program: Path, weight: float) -> None:
+    """It is switched on as the robot stands on it, lifted for two seconds, and put down."""
+    rng = np.random.default_rng(5)
+    load = np.repeat([weight, 0.0, weight], [120, 160, 160])[:, None] * np.array([0.35, 0.15, 0.3, 0.2])
+    lines = ["t", *map(row, counts_of(load, np.array([30.0, -12.0, 4.0, 0.0]), rng))]
+    followed, left = Seen(program, ["f 2", *lines]), Seen(program, lines)
+    np.testing.assert_allclose(followed.load[110:120], 0.0, atol=0.1)
+    assert (followed.faults[120:125] & REJECTED).any(axis=0).all()
+    np.testing.assert_allclose(followed.load[240:280], 0.0, atol=0.1)
+    np.testing.assert_allclose(followed.load[290:], weight, atol=0.1)
+    assert not followed.faults[290:].any()
+    # Without a limit nothing says that the foot hangs: the fault stays for as long as it seems to pull.
+    np.testing.assert_allclose(left.load[130:280], -weight, atol=0.1)
+    assert (left.faults[130:280] & REJECTED).all()
+
+
+def test_no_centre_of_pressure_of_cells_at_their_rails_or_silent(program: Path) -> None:
+    rng = np.random.default_rng(6)
+    counts = counts_of(np.full((240, 4), WEIGHT / 4), np.zeros(4), rng)
+    counts[60:120, 1] = RAIL
+    counts[150:200] = -(2**63)
+    seen = Seen(program, list(map(row, counts)))
+    assert seen.valid[20:60].all()
+    assert not seen.valid[60:120].any()
+    assert seen.valid[122:165].all()
+    # The last reading counts for a quarter of a second.
+    assert seen.valid[150:168].all()
+    assert not seen.valid[172:200].any()
+    assert seen.valid[201:].all()
+    np.testing.assert_array_equal(np.isfinite(seen.cop).all(axis=1), seen.valid)
+
+
 def test_the_example_runs(tmp_path: Path) -> None:
     sketch = LIBRARY / "examples" / "OneFoot" / "OneFoot.ino"
     (tmp_path / "HX711.h").write_text(HX711)

@@ -206,6 +206,38 @@ def test_a_state_of_another_setup_and_files_of_another_kind_are_refused(log, tmp
         first.load(tmp_path / "half")
 
 
+@pytest.mark.parametrize("method", ["moment", "window", "tare"])
+def test_a_robot_with_another_battery_keeps_its_map(method, log, tmp_path):
+    """By 0.1 kg of 5.3. The map of the cells in counts and newtons is the same."""
+    before = make(method)
+    for raw, row in zip(log.raw, rows(log), strict=True):
+        learnt = before.update(raw, row)
+    before.save(tmp_path / "feet.npz")
+    heavier = make(method, mass=before.setup.mass + 0.1)
+    with pytest.warns(UserWarning, match=r"had a mass of 5\.\d+ kg, and now it has 5\.\d+ kg\. The map"):
+        heavier.load(tmp_path / "feet.npz")
+    found = heavier.update(log.raw[-1], rows(log)[-1])
+    np.testing.assert_allclose(found.scale, learnt.scale, rtol=1e-3)
+    np.testing.assert_allclose(found.offset, learnt.offset, atol=0.2)  # N of 53
+    assert np.abs(learnt.offset - NOMINAL.offset).max() > 0.1
+    if found.covariance is not None:
+        np.testing.assert_allclose(np.diagonal(found.covariance), np.diagonal(learnt.covariance), rtol=0.1)
+    heavier.save(tmp_path / "feet.npz")
+    heavier.load(tmp_path / "feet.npz")  # now without a word
+
+
+def test_all_that_differs_of_another_robot_is_named(log, tmp_path):
+    window = make()
+    window.update(log.raw[0], rows(log)[0])
+    window.save(tmp_path / "feet.npz")
+    left, right = (FootLayout.load_cells(name, LAYOUT.feet[0].position_cell_sole) for name in ("a", "b"))
+    other = FootCalibrator(FeetLayout((left, right)), "tare", mass=MASS, dt=0.02)
+    with pytest.raises(
+        ValueError, match=r"for method 'window', .* for channels 'left.* for dt '0\.0125', but"
+    ):
+        other.load(tmp_path / "feet.npz")
+
+
 def test_a_damaged_file_is_refused_whatever_is_damaged(log, tmp_path):
     calibrator = make()
     calibrator.update(log.raw[0], rows(log)[0])

@@ -84,13 +84,13 @@ def test_no_number_that_is_impossible_is_loaded_and_what_was_learnt_stays(method
 ONE_SIDED = {
     "not symmetric": ("covariance", 0.5, (0, 1), "'covariance' is not symmetric, as a covariance is."),
     "negative variance": ("covariance", -0.5, (2, 2), "'covariance' has the variance -0.5"),
-    "unknown flag": ("status", 65536, ..., "'status' holds 6.554e+04, and 0 to 6.554e+04 can be."),
-    "negative flag": ("status", -1, ..., "'status' holds -1, and 0 to 6.554e+04 can be."),
+    "unknown flag": ("status", 131072, ..., "'status' holds 1.311e+05, and 0 to 1.311e+05 can be."),
+    "negative flag": ("status", -1, ..., "'status' holds -1, and 0 to 1.311e+05 can be."),
     "a fault unheard of": (
         "faults.kind",
-        131072,
+        262144,
         3,
-        "'faults.kind' holds 1.311e+05 at (3,), and 0 to 6.554e+04",
+        "'faults.kind' holds 2.621e+05 at (3,), and 0 to 1.311e+05",
     ),
     "100 body weights": ("belief.mean", 100.0, (0, 9), "'belief.mean' holds 100 at (0, 9), and -20 to 20"),
     "nothing to go back to": ("kept.belief.mean", np.nan, (0, 1), "'kept.belief.mean' holds nan at (0, 1)"),
