@@ -216,7 +216,11 @@ class FootCalibrator(OfOneVersion):
         fresh = self._pure.init(np.zeros(self.setup.layout.channels))
         state = load_state(path, fresh, self.limits, **self._notes())
         now = float(self.setup.mass)
-        self.state = self._pure.adopt(state, mass_share(path, float(read_note(path, "mass") or now), now))
+        self.adopt(state, mass_share(path, float(read_note(path, "mass") or now), now))
+
+    def adopt(self, state: Any, share: float = 1.0) -> None:
+        """Go on from a state of this robot, when its mass was a share of the present one."""
+        self.state = self._pure.adopt(state, share)
 
     def _notes(self) -> dict[str, str]:
         """Name the setup that a saved state belongs to."""

@@ -18,7 +18,7 @@ from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import ReferenceRecord
 from surefoot.calibration.online import MethodOptions, method_entry, resolve_method
-from surefoot.calibration.state import load_state, save_state
+from surefoot.calibration.state import load_state, mass_share, read_note, save_state
 from surefoot.names import plain_name
 from surefoot.pickles import OfOneVersion
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
@@ -297,11 +297,19 @@ class RobotCalibration(OfOneVersion):
         initial = Parameters(*(np.asarray(part, dtype=np.float64) for part in self.initial))
         return Learnt(self.calibrator.state, initial, self.model.masses)
 
-    def take_over(self, learnt: Learnt) -> None:
-        """Go on with a saved memory."""
-        self.model.masses, self.initial = learnt.masses, learnt.initial
+    @property
+    def drawn_mass(self) -> float:
+        """The mass of the drawing in kg."""
+        return self._setup.mass
+
+    def take_over(self, learnt: Learnt, share: float = 1.0) -> None:
+        """Go on with a saved memory of a robot whose mass was a share of the present one."""
+        self.initial = learnt.initial
+        if share == 1.0:
+            self.model.masses = learnt.masses
         self._make()
-        self.calibrator.state = learnt.state
+        former = float(learnt.masses.mass.sum())
+        self.calibrator.adopt(learnt.state, 1.0 if share == 1.0 else former / self.model.mass)
         self._choose()
         self._wait_out()
 
@@ -324,9 +332,9 @@ class RobotCalibration(OfOneVersion):
         """Name the robot and the sensors that a saved state belongs to."""
         setup, equipment = self._setup, self._sensors.equipment
         return {
-            "method": f"{plain_name(setup.method)} {setup.options}",
             "robot": equipment.notes()["robot"],
             "channels": " ".join(setup.layout.channel_names),
+            "method": f"{plain_name(setup.method)} {setup.given}",
             "timing": f"{self._sensors.telemetry.dt:.9g} s a sample, {self.late} samples late",
         }
 
@@ -419,10 +427,13 @@ class CalibrationFace(ABC):
             RuntimeError: If the environment has not been reset.
         """
         first = self._robots[0]
-        save_state(path, self._learnt(), first.limits(), **first.notes())
+        save_state(path, self._learnt(), first.limits(), **first.notes(), mass=repr(first.drawn_mass))
 
     def load(self, path: str | PathLike[str]) -> None:
         """Go on with the calibration of a file of :meth:`save`; a reset without a seed keeps it.
+
+        The robot's mass may have changed by up to a fifth since. A warning says so: the map of the channels
+        is kept, and the robot believes in its present masses.
 
         Raises:
             RuntimeError: If the environment has not been reset.
@@ -431,8 +442,10 @@ class CalibrationFace(ABC):
         """
         like, first = self._learnt(), self._robots[0]
         found = load_state(path, like, first.limits(), **first.notes())
+        mass = first.drawn_mass
+        share = mass_share(path, float(read_note(path, "mass") or mass), mass)
         for robot, learnt in zip(self._robots, (found,) if isinstance(like, Learnt) else found, strict=True):
-            robot.take_over(learnt)
+            robot.take_over(learnt, share)
         self._gather()
 
     def _learnt(self) -> Any:

@@ -1,5 +1,6 @@
 """The equipment of a kind of robot, and the instruments under one robot's feet in its condition."""
 
+import re
 from dataclasses import replace
 from hashlib import sha256
 from typing import Any, Final, NamedTuple
@@ -164,7 +165,9 @@ class Equipment:
     def notes(self) -> dict[str, str]:
         """Name the robot and the sensors that saved hardware belongs to."""
         drawing, places = self.drawing, self.drawing.position_cell_sole
-        mark = sha256(drawing.xml.encode() + (b"" if places is None else places.tobytes())).hexdigest()[:12]
+        # Masses may change: a battery, a payload.
+        skeleton = re.sub(r"<inertial[^>]*>", "", drawing.xml)
+        mark = sha256(skeleton.encode() + (b"" if places is None else places.tobytes())).hexdigest()[:12]
         return {
             "robot": f"{drawing.torso} with {', '.join(self._joint_names)}, drawing {mark}",
             "sensors": " ".join(repr(part.config) for part in self.instruments.parts),

@@ -169,7 +169,7 @@ def test_files_of_other_robots_and_sensors_are_refused(tmp_path, make_bare) -> N
     with pytest.raises(RuntimeError, match=r"no calibrator before the first reset\(\)"):
         calibrated.load(tmp_path / "a.npz")
     calibrated.reset(seed=0)
-    with pytest.raises(ValueError, match="holds no method, but 'moment"):
+    with pytest.raises(ValueError, match="does not say for which method it was saved, and 'moment"):
         calibrated.load(tmp_path / "a.npz")
 
 
@@ -265,6 +265,37 @@ def test_files_of_another_body_or_with_other_faults_are_refused(tmp_path, make_b
         humanoid.load(tmp_path / "a.npz")
     with pytest.raises(TypeError, match="'faults' must be a sequence of faults"):
         FootSensors(make_bare(STAND), faults="at t=1 s cell left/2 dies")
+
+
+@pytest.mark.parametrize("heavier", [0.6, 20.0])
+def test_another_battery_keeps_what_was_learnt_and_another_robot_is_named(tmp_path, heavier: float) -> None:
+    """A humanoid of 40 kg with soles of its own."""
+    text = (Path(gym.__file__).parent / "envs" / "mujoco" / "assets" / "humanoid.xml").read_text()
+    battery = f'<geom name="battery" type="sphere" size="0.03" mass="{heavier}" contype="0" conaffinity="0"/>'
+    joint = '<joint armature="0" damping="0" limited="false" name="root"'
+    (tmp_path / "heavier.xml").write_text(text.replace(joint, battery + joint))
+
+    def robot(**options: Any) -> SelfCalibration:
+        bare = gym.make("Humanoid-v5", include_cfrc_ext_in_observation=False, **options)
+        env = SelfCalibration(FootSensors(bare, "icub-force-torque"))
+        env.reset(seed=0)
+        for _ in range(20):
+            env.step(np.zeros(17, dtype=np.float32))
+        return env
+
+    light, heavy = robot(), robot(xml_file=str(tmp_path / "heavier.xml"))
+    light.save(tmp_path / "state.npz")
+    mass = heavy.robot.model.mass
+    if heavier > 10.0:
+        with pytest.raises(ValueError, match=r"was saved for mass '4\d\.\d+' kg, but this is '6\d\.\d+' kg"):
+            heavy.load(tmp_path / "state.npz")
+        return
+    with pytest.warns(UserWarning, match=r"The map of its channels is kept"):
+        heavy.load(tmp_path / "state.npz")
+    heavy.reset()
+    assert heavy.robot.model.mass == mass
+    heavy.step(np.zeros(17, dtype=np.float32))
+    assert np.isfinite(heavy.estimate.force).all()
 
 
 def test_a_wire_that_is_too_short_is_refused_at_the_door(make_bare) -> None:
