@@ -17,60 +17,68 @@ class Flag(IntFlag):
     <Flag.DEAD|LOST: 9216>
     """
 
+    _value_: int
+    words: str  # the flag in a few words, for tables and messages
+
+    def __new__(cls, value: int, words: str) -> "Flag":
+        flag = int.__new__(cls, value)
+        flag._value_, flag.words = value, words
+        return flag
+
     @classmethod
     def _missing_(cls, value: object) -> "Flag":
         return cls(int(value)) if isinstance(value, np.integer) else super()._missing_(value)
 
-    MISSING = 1
+    MISSING = 1, "no reading arrived; the last one is held"
     """No reading arrived (NaN): the last one is held."""
 
-    OUT_OF_RANGE = 2
+    OUT_OF_RANGE = 2, "a reading that no foot can give, or a jump; the last one is held"
     """The reading is infinite, is a force that no foot can see, or has leapt away: the last one is held."""
 
-    REFERENCE = 4
+    REFERENCE = 4, "the motion is not known or not physical; nothing is learnt"
     """The reference is not finite or not of a robot's size (metres?): the last one is held, and nothing is
     learnt from it."""
 
-    GAP = 8
+    GAP = 8, "the clock jumped; filters start again"
     """The time since the last sample is zero, negative or far too long: filter and window are empty again."""
 
-    NO_CONTACT = 16
+    NO_CONTACT = 16, "too little weight on the feet to learn from"
     """The window holds too few samples with weight on the feet to learn from: parameters unchanged."""
 
-    SINGULAR = 32
+    SINGULAR = 32, "the data do not separate the parameters; they stay"
     """The normal equations cannot be solved safely: parameters unchanged."""
 
-    STANDING = 64
+    STANDING = 64, "still collecting the standing start"
     """Still collecting the standing start: parameters as they were given."""
 
-    REJECTED = 128
+    REJECTED = 128, "the data ask for what no sensor does; refused"
     """What the data ask for is impossible for a sensor: parameters unchanged."""
 
-    SPIKE = 256
+    SPIKE = 256, "a single reading far off"
     """The reading was out of range for up to three samples, and has come back to where it was."""
 
-    STUCK = 512
+    STUCK = 512, "the channel keeps one value"
     """The reading has not changed at all while the load did: the channel is out."""
 
-    DEAD = 1024
+    DEAD = 1024, "the channel does not follow the load"
     """The reading does not follow the load: the channel is out."""
 
-    FLIPPED = 2048
+    FLIPPED = 2048, "the channel has the wrong sign"
     """The reading follows the load with the wrong sign: it is turned round."""
 
-    SWAPPED = 4096
+    SWAPPED = 4096, "the channel reads another one's load"
     """The reading follows another channel's load: both are exchanged."""
 
-    LOST = 8192
+    LOST = 8192, "the channel is out; its force comes from the others"
     """The channel is out, and its force is reconstructed from the foot's other channels."""
 
-    SATURATED = 16384
+    SATURATED = 16384, "the channel is at the end of its range"
     """The reading stays at an end of its range: the channel is out while it does."""
 
-    HELD = 32768
+    HELD = 32768, "something besides the feet carries or pushes the robot; nothing is learnt from its motion"
     """Something besides the feet carries or pushes the robot: nothing is learnt from its motion."""
 
-    WORSE_THAN_START = 65536
+    WORSE_THAN_START = 65536, "the starting map agrees better with the motion than the learnt map does"
     """The starting map would agree with the robot's motion and weight better than the learnt map does, by
     samples that neither was learnt from: reset the calibration, or look for a fault of the robot's model."""
 

@@ -10,12 +10,9 @@ from numpy.typing import NDArray
 from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, Estimate, Flag, OnlineSetup, Parameters
 from surefoot.experiments.logs.format import Log
-from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import Table, decimal, number, percent, span, with_deviation
 from surefoot.experiments.walking.agreement import agreement, ground_of_forces, ground_of_motion
 from surefoot.experiments.walks.score import hold_last, score_forces
-
-_flag_words = Words("walking", "flags")
 
 
 class MapChange(NamedTuple):
@@ -185,7 +182,7 @@ def flag_table(facts: Facts) -> Table:
         names = [log.layout.channel_names[i].replace("/", ", ") for i in channels]
         where = "all channels" if len(names) == raised.shape[1] else "; ".join(names)
         between = span(log.time[when[0]], log.time[when[-1]], ".2f")
-        rows.append((_flag_words(str(flag.name)), percent(len(when) / len(flags), ".2f"), between, where))
+        rows.append((flag.words, percent(len(when) / len(flags), ".2f"), between, where))
     if not rows:
         rows.append(("nothing was flagged", percent(0.0), "–", "–"))
     return Table("flags", "Flags", ("flag", "of the samples", "between (s)", "on"), tuple(rows))
