@@ -33,7 +33,7 @@
 #define SF_SLOPE 3
 #define SF_FURTHEST 8.0
 #define SF_CLOCK_MEMORY 256.0
-#define SF_LARGEST_VALUE ((sf_real)1e6)
+#define SF_LARGEST_VALUE ((sf_real)1e3)
 #define SF_CONTACT_MARGIN 4
 #define SF_LIFTED ((sf_real)0.01)
 #define SF_DOWN ((sf_real)0.003)
@@ -41,15 +41,24 @@
 #define SF_COS_FLAT (1 - (sf_real)0.5 * SF_FLAT * SF_FLAT)
 #define SF_LEANING ((sf_real)0.4) /* of gravity */
 #define SF_LEAN_TIME ((sf_real)0.25)
-#define SF_LARGEST_FORCE_BIAS ((sf_real)1.5)
+#define SF_STEEPEST ((sf_real)0.4)
 #define SF_LOWEST ((sf_real)0.7)
 
 /* ------------------------------------------------------------------------------------------------ records */
 
-/* All that is remembered: Beliefs, Odometry, Plan, Kinematics and Upright side by side. */
+/* One packet of telemetry. */
 typedef struct {
-    sf_real angle[SF_HINGES], accelerometer[3], gyroscope[3]; /* the last packet */
-    sf_odometry odometry;
+    double arrival; /* on the host's clock in s */
+    sf_whole number;
+    sf_real angle[SF_HINGES], accelerometer[3], gyroscope[3]; /* rad; m/s^2 and rad/s in the torso's axes */
+} sf_packet;
+
+/* All that is remembered: Beliefs, Strapdown, Plan, Kinematics and Upright side by side. */
+typedef struct {
+    sf_packet heard;      /* the last packet as it came */
+    sf_whole heard_count; /* and how many came */
+    sf_real angle[SF_HINGES], accelerometer[3], gyroscope[3]; /* the last joined packet */
+    sf_strapdown strapdown;
     sf_real lean[3], highest;
     double clock; /* time in s on the host's clock at which packet 0 left */
     sf_real sum[6]; /* of the IMU over the packets that are being joined */
@@ -62,6 +71,7 @@ typedef struct {
 typedef struct {
     sf_reference reference;
     sf_real accelerometer[3], gyroscope[3]; /* as measured, IMU's axes: m/s^2, rad/s */
+    sf_real ground[3];                      /* normal of the ground in the reference's axes */
     unsigned char known;                    /* whether the reference is of numbers */
     unsigned char fell; /* whether the robot was upright until now: time for sf_moment_retract */
 } sf_belief;
@@ -77,11 +87,10 @@ SF_API sf_real *sf_row(const sf_timing *t, sf_beliefs *s, sf_whole number) {
     return s->ring + (sf_row_own(t->feet) + SF_OWN) * sf_place(number);
 }
 
-/* Beliefs._find_posture and _keep: fill the row at the middle between two packets. */
-SF_API void sf_middle(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_real *row, const sf_real *angle,
+/* Beliefs._find_posture: find the posture at the middle between the last joined packet and a new one. */
+SF_API void sf_middle(const sf_model *m, const sf_timing *t, sf_beliefs *s, const sf_real *angle,
                       const sf_real *accelerometer, const sf_real *gyroscope, sf_posture *found) {
-    int own = sf_row_own(t->feet);
-    sf_real middle[SF_HINGES], rate[SF_HINGES], *force = found->force, *spin = found->spin, *local = found->local, R[9];
+    sf_real middle[SF_HINGES], rate[SF_HINGES], *force = found->force, *spin = found->spin;
     for (int i = 0; i < m->hinges; i++) {
         middle[i] = (sf_real)0.5 * (s->angle[i] + angle[i]);
         rate[i] = (angle[i] - s->angle[i]) / (sf_real)t->period;
@@ -90,13 +99,20 @@ SF_API void sf_middle(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_r
         force[k] = t->averaged ? accelerometer[k] : (sf_real)0.5 * (s->accelerometer[k] + accelerometer[k]);
         spin[k] = t->averaged ? gyroscope[k] : (sf_real)0.5 * (s->gyroscope[k] + gyroscope[k]);
     }
-    sf_evaluate(m, t->feet, middle, rate, spin, local, found->speeds);
-    if (t->rolls) sf_rolling_turn(t, &s->odometry, found, R);
-    else sf_odometry_turn(t, &s->odometry, found, R);
-    for (int k = 0; k < 3; k++) local[own + SF_OWN_FORCE + k] = force[k] - s->odometry.force_bias[k];
-    for (int i = 0; i < own + SF_OWN_ACCELERATION; i += 3) sf_turn(row + i, R, local + i);
-    sf_copy(row + own + SF_OWN_ACCELEROMETER, force, 3);
-    sf_copy(row + own + SF_OWN_GYROSCOPE, spin, 3);
+    sf_evaluate(m, t->feet, middle, rate, spin, found->local, found->speeds);
+    sf_advance(t, &s->strapdown, found);
+}
+
+/* Beliefs._keep: fill the row of a posture. */
+SF_API void sf_keep(const sf_timing *t, sf_beliefs *s, sf_posture *found, sf_real *row) {
+    const sf_strapdown *strapdown = &s->strapdown;
+    int own = sf_row_own(t->feet);
+    for (int k = 0; k < 3; k++) found->local[own + SF_OWN_FORCE + k] = found->force[k] - strapdown->force_bias[k];
+    for (int i = 0; i < own + SF_OWN_ACCELERATION; i += 3) sf_turn(row + i, found->R, found->local + i);
+    row[own + SF_OWN_FORCE + 2] -= strapdown->vertical_bias;
+    sf_turn(row + own + SF_OWN_GROUND, found->R, strapdown->ground);
+    sf_copy(row + own + SF_OWN_ACCELEROMETER, found->force, 3);
+    sf_copy(row + own + SF_OWN_GYROSCOPE, found->spin, 3);
 }
 
 /* Beliefs._differentiate: fill in the rates one middle before a packet's, from its neighbours. */
@@ -123,7 +139,7 @@ SF_API int sf_measured(const sf_real *values, int count) {
 /* Before any packet. */
 SF_API void sf_beliefs_init(sf_beliefs *s) {
     memset(s, 0, (size_t)((char *)s->ring - (char *)s));
-    sf_odometry_init(&s->odometry);
+    sf_strapdown_init(&s->strapdown);
 }
 
 /* Beliefs._combine: add a packet to those that become one; whether that is whole, with the means in s->sum. */
@@ -144,28 +160,52 @@ SF_API int sf_join(const sf_timing *t, sf_beliefs *s, sf_whole number, const sf_
     return 1;
 }
 
-/* Beliefs.join: whether a packet is sound, and the last of those that become one: of that what follows is then. */
-SF_API int sf_sound(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_whole *number, const sf_real *angle,
-                    const sf_real **accelerometer, const sf_real **gyroscope) {
-    if (!sf_measured(angle, m->hinges) || !sf_measured(*accelerometer, 3) || !sf_measured(*gyroscope, 3)) return 0;
-    if (t->joined == 1) return 1;
-    if (!sf_join(t, s, *number, *accelerometer, *gyroscope)) return 0;
-    *number /= t->joined, *accelerometer = s->sum, *gyroscope = s->sum + 3;
+/* Make a packet; whether it is sound, with values that a robot can have measured. Arguments as of sf_beliefs_packet. */
+SF_API int sf_packet_of(const sf_model *m, sf_packet *packet, sf_whole number, double arrival, const sf_real *angle,
+                        const sf_real *accelerometer, const sf_real *gyroscope) {
+    packet->number = number, packet->arrival = arrival;
+    sf_copy(packet->angle, angle, m->hinges);
+    sf_copy(packet->accelerometer, accelerometer, 3);
+    sf_copy(packet->gyroscope, gyroscope, 3);
+    return sf_measured(angle, m->hinges) && sf_measured(accelerometer, 3) && sf_measured(gyroscope, 3);
+}
+
+/* Beliefs._fill: go on by one packet, a new one or one of those that were lost before it; 0 if it was the last one, or
+   comes late or twice. */
+SF_API int sf_fill(const sf_model *m, const sf_timing *t, sf_beliefs *s, const sf_packet *packet) {
+    sf_packet *heard = &s->heard;
+    sf_whole lost = packet->number - heard->number - 1;
+    if (s->heard_count && lost < 0 && lost >= -(sf_whole)t->filled) return 0;
+    if (s->heard_count && lost > 0 && lost <= t->filled) {
+        sf_real left = (sf_real)(lost + 1);
+        for (int i = 0; i < m->hinges; i++) heard->angle[i] += (packet->angle[i] - heard->angle[i]) / left;
+        for (int k = 0; k < 3; k++) {
+            heard->accelerometer[k] += (packet->accelerometer[k] - heard->accelerometer[k]) / left;
+            heard->gyroscope[k] += (packet->gyroscope[k] - heard->gyroscope[k]) / left;
+        }
+        heard->arrival = packet->arrival - (double)lost * t->period / t->joined;
+        heard->number++;
+    } else *heard = *packet;
+    s->heard_count++;
     return 1;
 }
 
-/* Beliefs.take: take in one joined packet; whether it follows the last one, so that a posture was found. */
+/* Beliefs.take: take in one joined packet; whether there is a posture since the last one and the attitude is known. */
 SF_API int sf_take(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_whole number, double arrival,
                    const sf_real *angle, const sf_real *accelerometer, const sf_real *gyroscope, sf_posture *found) {
     double left = arrival - t->delay - (double)number * t->period;
     int first = s->seen == 0;
     s->seen++;
     s->clock += (left - s->clock) / ((double)s->seen < SF_CLOCK_MEMORY ? (double)s->seen : SF_CLOCK_MEMORY);
-    if (!first && number == s->number + 1) {
-        s->run++;
-        sf_middle(m, t, s, sf_row(t, s, number), angle, accelerometer, gyroscope, found);
+    if (first || number != s->number + 1) {
+        s->run = 0;
+        if (!first) sf_coast(t, &s->strapdown, (double)(number - s->number) * t->period);
+    } else {
+        sf_middle(m, t, s, angle, accelerometer, gyroscope, found);
+        s->run = sf_attitude_known(t, &s->strapdown) ? s->run + 1 : 0;
+        if (s->run) sf_keep(t, s, found, sf_row(t, s, number));
         if (s->run >= 3) sf_differentiate(t, s, number);
-    } else s->run = 0;
+    }
     s->number = number;
     sf_copy(s->angle, angle, m->hinges);
     sf_copy(s->accelerometer, accelerometer, 3);
@@ -173,16 +213,30 @@ SF_API int sf_take(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_whol
     return s->run > 0;
 }
 
-/* Beliefs.update: take in one packet. One with a value that is not finite, or beyond 1e6, is a lost one.
+/* Beliefs.join and take: go on towards a packet by one, and by those that were lost before it; 0 where that is reached,
+   1, or 2 if a posture was found. */
+SF_API int sf_go_on(const sf_model *m, const sf_timing *t, sf_beliefs *s, const sf_packet *packet, sf_posture *found) {
+    const sf_packet *heard = &s->heard;
+    const sf_real *force = heard->accelerometer, *spin = heard->gyroscope;
+    if (!sf_fill(m, t, s, packet)) return 0;
+    if (t->joined > 1) {
+        if (!sf_join(t, s, heard->number, force, spin)) return 1;
+        force = s->sum, spin = s->sum + 3;
+    }
+    return 1 + sf_take(m, t, s, heard->number / t->joined, heard->arrival, heard->angle, force, spin, found);
+}
+
+/* Beliefs.update: take in one packet. One with a value that is not finite, or beyond 1e3, is a lost one.
 
    number: of the packet; those that get lost or come twice leave a gap. arrival: on the host's clock in s.
    angle: of the hinges in rad. accelerometer, gyroscope: in the torso's axes, m/s^2 and rad/s. */
 SF_API void sf_beliefs_packet(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_whole number,
                               double arrival, const sf_real *angle, const sf_real *accelerometer,
                               const sf_real *gyroscope) {
+    sf_packet packet;
     sf_posture found;
-    if (sf_sound(m, t, s, &number, angle, &accelerometer, &gyroscope))
-        sf_take(m, t, s, number, arrival, angle, accelerometer, gyroscope, &found);
+    if (sf_packet_of(m, &packet, number, arrival, angle, accelerometer, gyroscope))
+        while (sf_go_on(m, t, s, &packet, &found)) continue;
 }
 
 /* ---------------------------------------------------------------------------------------------- moments */
@@ -192,7 +246,7 @@ SF_API void sf_nothing(const sf_timing *t, sf_belief *out) {
     sf_reference *r = &out->reference;
     for (int i = 0; i < 3; i++)
         r->com[i] = r->com_acceleration[i] = r->angular_momentum_rate[i] = out->accelerometer[i] =
-            out->gyroscope[i] = (sf_real)NAN;
+            out->gyroscope[i] = out->ground[i] = (sf_real)NAN;
     for (int i = 0; i < 3 * t->feet; i++) r->position_sole[i] = (sf_real)NAN;
     for (int i = 0; i < 9 * t->feet; i++) r->R_level_sole[i] = (sf_real)NAN;
     r->momentum = 0;
@@ -259,6 +313,7 @@ SF_API void sf_beliefs_reference(const sf_timing *t, sf_beliefs *s, double time,
                      level + SF_ROW_SOLES, level + sf_row_axes(F));
     sf_copy(out->accelerometer, rows + ends, 3);
     sf_copy(out->gyroscope, rows + own + SF_OWN_GYROSCOPE, 3);
+    sf_copy(out->ground, level + own + SF_OWN_GROUND, 3);
     out->known = r->com[0] == r->com[0];
 }
 
@@ -325,21 +380,24 @@ SF_API void sf_plan_at(const sf_timing *t, sf_beliefs *s, const unsigned char *p
     for (int i = 0; i < wide; i++) sure[i] = s->planned[i] >= t->needed;
 }
 
-/* Kinematics.at: which feet surely stood, or surely swung, by where they were. force: specific force in m/s^2. */
-SF_API void sf_kinematics_at(const sf_timing *t, sf_beliefs *s, const sf_real *force, sf_reference *r) {
-    sf_real height[SF_FEET], low = 0;
-    int F = t->feet, carried = sf_square(force) > sf_power2(SF_FREE_FALL * t->gravity);
+/* Kinematics.at: which feet surely stood, or surely swung, by their heights along the normal of the ground. */
+SF_API void sf_kinematics_at(const sf_timing *t, sf_beliefs *s, sf_belief *belief) {
+    sf_reference *r = &belief->reference;
+    sf_real height[SF_FEET], slope[SF_FEET], low = 0;
+    int F = t->feet, carried = sf_square(belief->accelerometer) > sf_power2(SF_FREE_FALL * t->gravity);
     for (int foot = 0; foot < F; foot++) {
-        sf_real below = 0;
+        sf_real below = 0, normal[3];
         /* A foot on its toes or on an edge bears load, wherever the middle of its sole is. */
-        sf_lowest_part(t, foot, r->R_level_sole + 9 * foot + 6, &below);
-        height[foot] = r->position_sole[3 * foot + 2] + below;
+        sf_turn_back(normal, r->R_level_sole + 9 * foot, belief->ground);
+        sf_lowest_part(t, foot, normal, &below);
+        slope[foot] = normal[2];
+        height[foot] = sf_dot(r->position_sole + 3 * foot, belief->ground, 3) + below;
         low = foot ? sf_min(low, height[foot]) : height[foot];
     }
     for (int foot = 0; foot < F; foot++) {
         sf_real above = height[foot] - low, lifted = SF_LIFTED;
         for (int n = 0; n < t->points; n++) lifted = sf_max(lifted, t->radius[foot * t->points + n]);
-        int flat = t->rolls || r->R_level_sole[9 * foot + 8] > SF_COS_FLAT;
+        int flat = t->rolls || slope[foot] > SF_COS_FLAT;
         int down = carried && above < SF_DOWN && flat, up = carried && above > lifted;
         s->found[foot] = down ? s->found[foot] + 1 : 0;
         s->found[F + foot] = up ? s->found[F + foot] + 1 : 0;
@@ -361,7 +419,7 @@ SF_API int sf_upright_at(const sf_timing *t, sf_beliefs *s, sf_belief *belief) {
     height = r->com[2] - height;
     s->highest = sf_max(s->highest, height);
     upright = sf_square(s->lean) < sf_power2(SF_LEANING * t->gravity) &&
-              sf_square(s->odometry.force_bias) < SF_LARGEST_FORCE_BIAS * SF_LARGEST_FORCE_BIAS &&
+              belief->ground[2] > sf_sqrt(1 - SF_STEEPEST * SF_STEEPEST) &&
               height > SF_LOWEST * s->highest;
     belief->fell = s->upright && !upright;
     s->upright = upright;
@@ -392,7 +450,7 @@ SF_API void sf_beliefs_find(const sf_timing *t, sf_beliefs *s, double time, cons
 SF_API void sf_beliefs_sample(const sf_timing *t, sf_beliefs *s, double time, const unsigned char *planned,
                               int hold, sf_belief *out) {
     sf_beliefs_find(t, s, time, planned, hold, out);
-    if (!planned && out->known) sf_kinematics_at(t, s, out->accelerometer, &out->reference);
+    if (!planned && out->known) sf_kinematics_at(t, s, out);
 }
 
 /* Whether a model and timing that come from elsewhere lie within the arrays. */

@@ -22,37 +22,37 @@ SF_API int sf_moved_own(int feet) { return SF_MOVED_SOLES + 12 * feet; }
 /* MomentumBeliefs */
 typedef struct {
     sf_beliefs beliefs;
-    sf_strapdown strapdown;
     sf_real moved[SF_PACKETS * SF_MOVED]; /* as sf_beliefs.ring */
 } sf_momentum_beliefs;
 
 /* Before any packet. */
 SF_API void sf_momentum_beliefs_init(sf_momentum_beliefs *s) {
     sf_beliefs_init(&s->beliefs);
-    sf_strapdown_init(&s->strapdown);
+}
+
+/* MomentumBeliefs._keep: fill the row of a posture. */
+SF_API void sf_keep_momentum(const sf_timing *t, sf_momentum_beliefs *s, const sf_posture *posture) {
+    int F = t->feet, own = sf_moved_own(F);
+    sf_real *row = s->moved + (own + SF_MOVED_OWN) * sf_place(s->beliefs.number), local[SF_MOVED];
+    sf_copy(local + SF_MOVED_COM, posture->local + SF_ROW_COM, 3);
+    sf_copy(local + SF_MOVED_SOLES, posture->local + SF_ROW_SOLES, 12 * F);
+    for (int i = 0; i < 3; i++) local[own + i] = posture->speeds[i] - posture->speeds[6 + i];
+    sf_copy(local + own + 3, posture->local + sf_row_own(F) + SF_OWN_MOMENTUM, 3);
+    for (int i = 0; i < own + SF_MOVED_OWN; i += 3) sf_turn(row + i, posture->R, local + i);
+    for (int i = 0; i < 3; i++) row[own + i] += posture->velocity[i];
+    for (int i = 0; i < sf_moved_axes(F); i++) row[i] += s->beliefs.strapdown.place[i % 3];
 }
 
 /* MomentumBeliefs.update: take in one packet; arguments as of sf_beliefs_packet. */
 SF_API void sf_momentum_packet(const sf_model *m, const sf_timing *t, sf_momentum_beliefs *s, sf_whole number,
                                double arrival, const sf_real *angle, const sf_real *accelerometer,
                                const sf_real *gyroscope) {
-    int F = t->feet, own = sf_moved_own(F);
+    sf_packet packet;
     sf_posture posture;
-    sf_real R[9], speed[3], local[SF_MOVED];
-    if (!sf_sound(m, t, &s->beliefs, &number, angle, &accelerometer, &gyroscope)) return;
-    if (!sf_take(m, t, &s->beliefs, number, arrival, angle, accelerometer, gyroscope, &posture)) {
-        sf_strapdown_begin(&s->strapdown, accelerometer);
-        return;
-    }
-    sf_advance(t, &s->strapdown, &posture, &s->beliefs.odometry, R, speed);
-    sf_real *row = s->moved + (own + SF_MOVED_OWN) * sf_place(number);
-    sf_copy(local + SF_MOVED_COM, posture.local + SF_ROW_COM, 3);
-    sf_copy(local + SF_MOVED_SOLES, posture.local + SF_ROW_SOLES, 12 * F);
-    for (int i = 0; i < 3; i++) local[own + i] = posture.speeds[i] - posture.speeds[6 + i];
-    sf_copy(local + own + 3, posture.local + sf_row_own(F) + SF_OWN_MOMENTUM, 3);
-    for (int i = 0; i < own + SF_MOVED_OWN; i += 3) sf_turn(row + i, R, local + i);
-    for (int i = 0; i < 3; i++) row[own + i] += speed[i];
-    for (int i = 0; i < sf_moved_axes(F); i++) row[i] += s->strapdown.place[i % 3];
+    int step;
+    if (!sf_packet_of(m, &packet, number, arrival, angle, accelerometer, gyroscope)) return;
+    while ((step = sf_go_on(m, t, &s->beliefs, &packet, &posture)))
+        if (step > 1) sf_keep_momentum(t, s, &posture);
 }
 
 /* MomentumBeliefs.momentum: what the robot believed of a moment, with the contacts that stand in `out`. */
@@ -81,12 +81,9 @@ SF_API void sf_momentum_reference(const sf_timing *t, const sf_momentum_beliefs 
 /* MomentumBeliefs.sample: what the robot believes for one sample of its feet; arguments as of sf_beliefs_sample. */
 SF_API void sf_momentum_sample(const sf_timing *t, sf_momentum_beliefs *s, double time, const unsigned char *planned,
                                int hold, sf_belief *out) {
-    sf_beliefs_find(t, &s->beliefs, time, planned, hold, out);
-    if (out->known && s->beliefs.run > 1) {
-        sf_real force[3];
-        sf_copy(force, out->accelerometer, 3);
+    sf_beliefs_sample(t, &s->beliefs, time, planned, hold, out);
+    if (out->known) {
         sf_momentum_reference(t, s, time, out);
-        if (!planned) sf_kinematics_at(t, &s->beliefs, force, &out->reference);
         return;
     }
     sf_nothing(t, out);

@@ -69,7 +69,7 @@ in other units: degrees are 57 times as many."""
 
 APART = 0.1  # time in s over which turning is taken
 AHEAD = 3  # rows of motion after a moment that differences and interpolation may need
-NEEDED = 2  # rows without a loss that a moment must have before and behind it
+NEEDED = 2  # rows that a moment must have before and behind it
 
 
 def make_beliefs(
@@ -92,7 +92,7 @@ def make_beliefs(
     beliefs = native_beliefs(python)  # the library is ten times as fast, with the same numbers to rounding
     moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
-    known = _has_neighbours(motion, place)
+    known = _has_neighbours(motion, place, python.beliefs.filled)
     nobody = np.zeros(2, dtype=bool)
     references, momenta = RowCollector(len(time)), RowCollector(len(time))
     fed, values = 0, np.zeros(where.size)
@@ -118,12 +118,12 @@ def make_beliefs(
     )
 
 
-def _has_neighbours(motion: Motion, place: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return which moments lie among rows of which none is lost."""
+def _has_neighbours(motion: Motion, place: NDArray[np.intp], filled: int) -> NDArray[np.bool_]:
+    """Return which moments lie among rows between which no more rows are lost than beliefs fill in."""
     first, last = place - NEEDED, place + NEEDED - 1
     inside = (first >= 0) & (last < len(motion.number))
-    span = motion.number[np.where(inside, last, 0)] - motion.number[np.where(inside, first, 0)]
-    found: NDArray[np.bool_] = inside & (span == 2 * NEEDED - 1)
+    long = np.append(0, np.cumsum(np.diff(motion.number) > filled + 1))
+    found: NDArray[np.bool_] = inside & (long[np.where(inside, last, 0)] == long[np.where(inside, first, 0)])
     return found
 
 

@@ -6,13 +6,15 @@ clearly above that is in the air.
 """
 
 from collections import deque
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Floats
-from surefoot.calibration import GRAVITY, MomentumReference, Reference
-from surefoot.robot.beliefs.odometry import FREE_FALL
+from surefoot.calibration import GRAVITY, Reference
+
+FREE_FALL = 0.5  # specific force as a share of gravity below which a robot falls freely, and no foot bears load
 
 CONTACT_MARGIN = 4
 """Samples by which a planned stance or swing must hold before and after one to be sure of it: joints follow
@@ -45,8 +47,11 @@ the vertical."""
 
 LEAN_TIME = 0.25  # time constant in s of that mean, longer than a push or a landing
 
-LARGEST_FORCE_BIAS = 1.5
-"""Supposed error of an accelerometer in m/s^2 that is none, but gravity from another side."""
+STEEPEST = 0.4
+"""Slope of the ground as the soles show it, a sine, above which the robot does not stand on them: they are the
+sides of a robot that lies. People do not walk on more than 20 degrees."""
+
+COS_STEEPEST = sqrt(1.0 - STEEPEST**2)
 
 LOWEST = 0.7
 """Height of the centre of mass above the lower sole, as a share of the highest in this episode, below which a
@@ -93,20 +98,18 @@ class Kinematics:
         self._lifted = np.maximum(LIFTED, self._radius.max(axis=1))
         self.runs = [0] * (2 * len(touching))
 
-    def at(
-        self, reference: Reference | MomentumReference, accelerometer: Floats
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def at(self, reference: Reference, ground: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Take in the robot's beliefs of one moment, and return which feet surely stood or swung then.
 
         Those have shape (F,). Samples follow each other, and a foot's state has to have been the same for
-        :data:`CONTACT_MARGIN` of them.
-        The specific force of the accelerometer is in m/s^2, shape (3,).
+        :data:`CONTACT_MARGIN` of them. Heights are measured along the normal of the ground, shape (3,).
         """
         # A foot on its toes or on an edge bears load, wherever the middle of its sole is.
-        arm = np.einsum("fi,fni->fn", reference.R_level_sole[:, 2], self._places) - self._radius
-        height = reference.position_sole[:, 2] + arm.min(axis=1)
-        flat = self._rolls | (reference.R_level_sole[:, 2, 2] > COS_FLAT)
-        fx, fy, fz = accelerometer.tolist()
+        normal = ground @ reference.R_level_sole
+        arm = np.einsum("fi,fni->fn", normal, self._places) - self._radius
+        height = reference.position_sole @ ground + arm.min(axis=1)
+        flat = self._rolls | (normal[:, 2] > COS_FLAT)
+        fx, fy, fz = reference.accelerometer.tolist()
         # NaN, where nothing is known yet, compares as false.
         carried = fx * fx + fy * fy + fz * fz > self._free_fall**2
         above = height - height.min()
@@ -144,11 +147,10 @@ class Upright:
         self.highest = 0.0
         self.upright = self.fell = False
 
-    def at(self, reference: Reference, force_bias: Floats) -> bool:
+    def at(self, reference: Reference, ground: Floats) -> bool:
         """Take in the robot's beliefs of one moment, and return whether it was upright then.
 
-        Samples follow each other; NaN, where nothing is known, passes. The believed error of the
-        accelerometer is in m/s^2, shape (3,).
+        Samples follow each other; NaN, where nothing is known, passes. The normal of the ground has shape (3,).
         """
         x, y, z = reference.com_acceleration.tolist()
         self.fell = False
@@ -156,12 +158,11 @@ class Upright:
             return True
         share, (mx, my, mz) = self._share, self.lean
         self.lean = mx, my, mz = mx + share * (x - mx), my + share * (y - my), mz + share * (z - mz)
-        bx, by, bz = force_bias.tolist()
         height = float(reference.com[2]) - min(reference.position_sole[:, 2].tolist())
         self.highest = max(self.highest, height)
         upright = bool(
             mx * mx + my * my + mz * mz < self._leaning**2
-            and bx * bx + by * by + bz * bz < LARGEST_FORCE_BIAS * LARGEST_FORCE_BIAS
+            and ground[2] > COS_STEEPEST
             and height > LOWEST * self.highest
         )
         self.fell, self.upright = self.upright and not upright, upright

@@ -1,9 +1,9 @@
 """A robot's knowledge of its momentum: velocity increments of its IMU, held by the legs that stand.
 
 The IMU's velocity and the torso's rotation are those of :mod:`surefoot.robot.beliefs.strapdown`, in axes that
-are level and whose heading follows the gyroscope. Nothing is differentiated but encoders.
+are level and whose heading follows the gyroscope. Only encoders are differentiated.
 
-A row is of the middle between two packets; rows are read by linear interpolation.
+A row describes the middle between two packets. Rows are interpolated linearly.
 """
 
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,7 +17,6 @@ from surefoot.robot.beliefs.believed import Believed, unknown
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
 from surefoot.robot.beliefs.references import Beliefs, Posture
-from surefoot.robot.beliefs.strapdown import Strapdown, touching
 from surefoot.sensors.transport.link import Packets
 
 if TYPE_CHECKING:
@@ -48,25 +47,19 @@ class MomentumRows(NamedTuple):
 
 
 class MomentumBeliefs(Believed):
-    """Makes references that hold momentum; contacts, and whether it stands upright, are those of ``beliefs``.
+    """Makes references that hold momentum; attitude, contacts and upright posture are those of ``beliefs``.
 
     Attributes:
         beliefs: Those that hold accelerations.
         believed: The result of the last :meth:`sample`.
         rows: Columns of a row.
         ring: A row for each of the last packets by number, shape (HISTORY, rows.width, 3).
-        strapdown: Velocity and attitude.
-        run: Rows in a row.
-        number: Of the last packet.
     """
 
     def __init__(self, beliefs: Beliefs) -> None:
         self.beliefs = beliefs
-        self._corners, self._radius = beliefs.touching[..., :3], beliefs.touching[..., 3]
         self.rows = MomentumRows.of(beliefs.feet)
         self.ring = np.zeros((HISTORY, self.rows.width, 3))
-        self.strapdown = Strapdown(beliefs.period, beliefs.model.gravity)
-        self.run, self.number = 0, 0
         self.believed = unknown(beliefs.feet)
 
     def begin_episode(self) -> "MomentumBeliefs":
@@ -85,41 +78,26 @@ class MomentumBeliefs(Believed):
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
         for packet in self.beliefs.join(packets):
-            posture, self.number = self.beliefs.take(packet), packet.number
+            posture = self.beliefs.take(packet)
             if posture is not None:
-                self.run += 1
-                self._advance(posture)
-            else:
-                self.run = 0
-                self.strapdown = Strapdown(self.beliefs.period, self.model.gravity)
-                self.strapdown.begin(packet.values[self.beliefs.layout.accelerometer])
+                self._keep(posture, packet.number)
 
-    def _advance(self, posture: Posture) -> None:
+    def _keep(self, posture: Posture, number: int) -> None:
         """Fill the row at the middle before the newest packet."""
-        com, momentum, sites, axes, force, spin = posture
-        com_velocity, twist = self.model.velocities()
-        down = self.strapdown.R[2]
-        soles = sites[1:], axes.reshape(-1, 3, 3), twist[1:]
-        legs = -touching(*soles, self._corners, down, self._radius)
-        spin = spin - self.beliefs.spin_bias
-        R, velocity = self.strapdown.advance(force, spin, legs, twist[0, 3:], self.beliefs.force_bias)
-        row, at = self.ring[self.number % HISTORY], self.rows
-        row[COM], row[at.soles], row[at.axes], row[at.momentum] = com, sites[1:], axes, momentum
-        row[at.velocity] = com_velocity - twist[0, 3:]
-        np.matmul(row, R.T, out=row)
-        row[at.velocity] += velocity
-        row[: at.soles.stop] += self.strapdown.place
+        row, at = self.ring[number % HISTORY], self.rows
+        row[COM], row[at.soles], row[at.axes] = posture.com, posture.sites[1:], posture.axes
+        row[at.momentum] = posture.momentum
+        row[at.velocity] = posture.com_velocity - posture.twist[0, 3:]
+        np.matmul(row, posture.R.T, out=row)
+        row[at.velocity] += posture.velocity
+        row[: at.soles.stop] += self.beliefs.strapdown.place
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
         """Find the robot's beliefs for one sample of its feet; as :meth:`Beliefs.sample`."""
-        beliefs = self.beliefs
-        fell = beliefs.find(time, command, hold)
-        self.believed = unknown(beliefs.feet)
-        if beliefs.known:
-            found = beliefs.believed
+        fell, found = self.beliefs.sample(time, command, hold), self.beliefs.believed
+        self.believed = unknown(self.beliefs.feet)
+        if self.beliefs.known:
             self.believed = self.momentum(time, found.stance, found.swing)
-            if command is None:
-                self.believed = beliefs.find_contacts(self.believed, found.accelerometer)
         return fell
 
     def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
@@ -131,11 +109,12 @@ class MomentumBeliefs(Believed):
 
         Arguments are those of :meth:`Beliefs.reference`.
         """
-        if self.run < 2:
-            return unknown(self.beliefs.feet)._replace(stance=stance, swing=swing)
-        low = self.number - min(self.run, HISTORY - 1) + 1
-        end = time + 0.5 * self.beliefs.dt
-        rows, at = self.beliefs.interpolate(self.ring, end, low, self.number), self.rows
+        beliefs, at = self.beliefs, self.rows
+        if beliefs.last is None or beliefs.run < 2:
+            return unknown(beliefs.feet)._replace(stance=stance, swing=swing)
+        newest = beliefs.last.number
+        low = newest - min(beliefs.run, HISTORY - 1) + 1
+        rows = beliefs.interpolate(self.ring, time + 0.5 * beliefs.dt, low, newest)
         return MomentumReference(
             com=rows[COM],
             com_velocity=rows[at.velocity],

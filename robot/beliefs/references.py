@@ -1,23 +1,21 @@
 """A robot's knowledge of its own motion without its feet's sensors, on their timeline.
 
-Encoders and IMU come at 100 Hz or faster, numbered and late with jitter; packets of a faster link are joined
-into one of 10 ms, with the mean of the IMU and the last angles. The mean delay is known and taken off; the
-numbers are the robot's own even clock, so that the jitter averages out. Between two packets n-1 and
-n, at their middle, the nominal model gives from the mean and the difference of both encoder readings the
-centre of mass c, the soles and the angular momentum L, and gyroscope and accelerometer give the turning and
-the specific force f. In axes that are level and whose heading follows the gyroscope (*odometry* axes),
+Encoders and IMU come at 100 Hz or faster, numbered and late with jitter. Single packets that were lost are
+filled in by linear interpolation, and packets of a faster link are joined into one of 10 ms, with the mean of
+the IMU and the last angles. The mean delay is known and subtracted. The numbers are the robot's own even
+clock, so that the jitter averages out. Between two packets n-1 and n, at their middle, the nominal model gives
+from the mean and the difference of both encoder readings the centre of mass c, the soles and the angular
+momentum L, and the attitude filter (:mod:`surefoot.robot.beliefs.strapdown`) gives the rotation R of the
+torso. With the specific force f, less its believed bias, and the place p_imu of the IMU,
 
     c'' = R f - g e_z + d^2/dt^2 [ R (c - p_imu) ],        L' = d/dt [ R L ]
 
-with the torso's rotation R and the place p_imu of the IMU; differences are centred, so that they delay
-nothing. The results are kept, and read between packets by linear interpolation at the moments of the
-feet's samples, some samples ago (``lag``): when the packets that are needed have come.
+in level axes whose heading follows the gyroscope (*odometry* axes). Differences are centred, so that they
+delay nothing. The results are kept, and interpolated linearly at the times of the feet's samples, some samples
+ago (``lag``), when the packets that are needed have come.
 
-The soles show the level: the floor is level, and a foot that is down lies flat on it. They hold the
-gyroscope's tilt upright, free of the accelerations of a gait, and then show the bias of the accelerometer
-(over many steps the specific force must point up and be g). An error of the tilt that is left does little
-harm: the ground's force points along f from the centre of mass, whatever way is up, so that in Eqs. 10 and 11
-a common tilt cancels to first order.
+An error of the tilt does little harm to these accelerations: the ground's force points along f from the centre
+of mass, whatever way is up, so that in Eqs. 10 and 11 a common tilt cancels to first order.
 """
 
 from collections.abc import Iterator
@@ -30,12 +28,11 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Floats
 from surefoot.calibration import Reference
-from surefoot.robot.beliefs.believed import Believed, Believes, nothing
+from surefoot.robot.beliefs.believed import Believed, nothing
 from surefoot.robot.beliefs.contacts import Kinematics, Plan, Upright
 from surefoot.robot.beliefs.lag import HISTORY
 from surefoot.robot.beliefs.nominal import NominalModel
-from surefoot.robot.beliefs.odometry import Odometry
-from surefoot.robot.beliefs.strapdown import RollingOdometry
+from surefoot.robot.beliefs.strapdown import Strapdown
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
 
@@ -45,8 +42,12 @@ FURTHEST = 8.0  # how many packets ahead soles are assumed to keep their velocit
 CLOCK_MEMORY = 256
 """Packets over which arrival times are averaged to find the robot's clock on the host's."""
 
-LARGEST_VALUE = 1e6
-"""Largest number that a packet can hold; one with a larger one, or with NaN, counts as lost."""
+LARGEST_VALUE = 1e3
+"""Largest number in rad, rad/s or m/s^2 that a packet may hold. Beyond it, or with NaN, it counts as lost."""
+
+FILLED_TIME = 0.1
+"""Longest gap in s that is filled in by interpolation: a tenth of a stride, over which joints and gyroscope
+change almost evenly. Over a longer gap the attitude is kept, and becomes uncertain."""
 
 COM, IMU = 0, 1
 """Rows of every :class:`Rows` that do not depend on the number of feet."""
@@ -64,6 +65,7 @@ class Rows(NamedTuple):
     force: int  # specific force in m/s^2
     acceleration: int  # of the centre of mass in m/s^2, which follows from the row's neighbours in time
     momentum_rate: int  # in N m, likewise
+    ground: int  # normal of the ground
     accelerometer: int  # the measurement, in the IMU's own axes, in m/s^2
     gyroscope: int  # likewise, in rad/s
     width: int  # number of the vectors
@@ -72,7 +74,7 @@ class Rows(NamedTuple):
     def of(cls, feet: int) -> "Rows":
         """Return those of a robot on so many feet."""
         own = 2 + 4 * feet
-        return cls(slice(2, 2 + feet), slice(2 + feet, own), *range(own, own + 7))
+        return cls(slice(2, 2 + feet), slice(2 + feet, own), *range(own, own + 8))
 
 
 class Posture(NamedTuple):
@@ -85,8 +87,10 @@ class Posture(NamedTuple):
     momentum: Floats  # angular momentum about it in kg m^2/s, shape (3,)
     sites: Floats  # IMU and soles in m, shape (1 + F, 3)
     axes: Floats  # the soles' axes x, y and z, shape (3 F, 3)
-    force: Floats  # mean specific force since the packet before in m/s^2, shape (3,)
-    spin: Floats  # mean angular velocity in rad/s, shape (3,)
+    com_velocity: Floats  # velocity of the centre of mass relative to the torso in m/s, shape (3,)
+    twist: Floats  # angular velocities and velocities of IMU and soles relative to it, shape (1 + F, 6)
+    R: Floats  # rotation from the torso's to the level axes, shape (3, 3)
+    velocity: Floats  # of the IMU in level axes in m/s, shape (3,)
 
 
 class Beliefs(Believed):
@@ -114,15 +118,18 @@ class Beliefs(Believed):
         feet: Number of the feet, F.
         rows: Columns of a row.
         ring: A row for each of the last packets by number, shape (HISTORY, rows.width, 3).
+        ground: Normal of the ground in the axes of the last :meth:`reference`, shape (3,).
+        heard: The last packet as it came, or ``None``.
         last: The last joined packet, or ``None``.
-        run: Packets without a gap up to it.
+        run: Joined packets without a long gap up to it.
         seen: Packets so far.
         clock: Time on the host's clock in s at which packet 0 left.
         touching: The parts of each foot that may touch, shape (F, n, 4).
         rolls: Whether feet are round.
         parts: Packets that are being joined so far.
         sum: Of their IMU.
-        odometry: Turns the torso.
+        strapdown: The attitude, the velocity and the ground.
+        filled: Longest gap that is filled in, in packets.
         plan: Contacts by the plan.
         kinematics: Contacts by kinematics.
         upright: Whether it is.
@@ -154,11 +161,10 @@ class Beliefs(Believed):
         self.touching = np.zeros((self.feet, 1, 4)) if touching is None else touching
         self.ring = np.zeros((HISTORY, self.rows.width, 3))
         self._local = np.zeros((self.rows.force + 1, 3))
-        self.odometry: Odometry | RollingOdometry = (
-            RollingOdometry(model, self.period, self.touching[..., :3], self.touching[..., 3])
-            if rolls
-            else Odometry(self.period, model.gravity)
-        )
+        self.strapdown = Strapdown(self.period, model.gravity, self.touching, rolls)
+        self.ground = np.array([0.0, 0.0, 1.0])
+        self._packet_period, self.filled = period, max(1, round(FILLED_TIME / period))
+        self.heard: Packet | None = None
         self.last: Packet | None = None
         self.run = 0
         self.clock, self.seen = 0.0, 0
@@ -174,37 +180,47 @@ class Beliefs(Believed):
         """Return beliefs of the same robot at an episode's start."""
         return self._begin()
 
-    @property
-    def force_bias(self) -> Floats:
-        """The believed error of the robot's accelerometer in m/s^2, shape (3,)."""
-        return self.odometry.force_bias
-
-    @property
-    def spin_bias(self) -> Floats:
-        """What the robot takes for an error of its gyroscope in rad/s, shape (3,)."""
-        return self.odometry.spin_bias
-
     def update(self, packets: Packets) -> None:
         """Take in packets of telemetry, in order."""
         for packet in self.join(packets):
             self.take(packet)
 
     def join(self, packets: Packets) -> Iterator[Packet]:
-        """Yield packets that are sound, joined as many as they are to be."""
-        for one in packets:
-            packet = self._combine(one) if np.abs(one.values).max() <= LARGEST_VALUE else None
-            if packet is not None:
-                yield packet
+        """Yield sound packets, with lost ones filled in, and joined as many as they are to be."""
+        for packet in packets:
+            if np.abs(packet.values).max() <= LARGEST_VALUE:
+                for part in self._fill(packet):
+                    whole = self._combine(part)
+                    if whole is not None:
+                        yield whole
+
+    def _fill(self, packet: Packet) -> Iterator[Packet]:
+        """Yield a packet after those that were lost before it; nothing for one that comes late or twice."""
+        if self.heard is not None:
+            number, _, values = self.heard
+            lost = packet.number - number - 1
+            if -self.filled <= lost < 0:
+                return
+            for left in range(lost if lost <= self.filled else 0, 0, -1):
+                values = values + (packet.values - values) / (left + 1)
+                yield Packet(packet.number - left, packet.arrival - left * self._packet_period, values)
+        self.heard = packet
+        yield packet
 
     def take(self, packet: Packet) -> Posture | None:
-        """Take in one joined packet; return the posture since the last one, ``None`` if one is missing."""
+        """Take in one joined packet; return the posture since the last one, ``None`` if that is too long ago."""
         self._synchronise(packet)
         before, self.last = self.last, packet
         if before is None or packet.number != before.number + 1:
             self.run = 0
+            if before is not None:
+                self.strapdown.coast((packet.number - before.number) * self.period)
+            return None
+        posture = self._find_posture(before.values, packet.values)
+        if not self.strapdown.known:
+            self.run = 0
             return None
         self.run += 1
-        posture = self._find_posture(before.values, packet.values)
         self._keep(posture, packet.number)
         if self.run >= 3:
             self._differentiate(packet.number)
@@ -246,21 +262,25 @@ class Beliefs(Believed):
         else:
             force = 0.5 * (before[where.accelerometer] + after[where.accelerometer])
             spin = 0.5 * (before[where.gyroscope] + after[where.gyroscope])
-        posture = self.model.evaluate(0.5 * (start + end), (end - start) / period, spin)
-        return Posture(*posture, force, spin)
+        com, momentum, sites, axes = self.model.evaluate(0.5 * (start + end), (end - start) / period, spin)
+        com_velocity, twist = self.model.velocities()
+        R, velocity = self.strapdown.advance(force, spin, sites, axes, twist)
+        self._measured = force, spin
+        return Posture(com, momentum, sites, axes, com_velocity, twist, R, velocity)
 
     def _keep(self, posture: Posture, number: int) -> None:
         """Fill the row at the middle between a packet and the one before."""
-        com, momentum, sites, axes, force, spin = posture
-        R_odometry_torso = self.odometry.turn(spin, force, sites, axes)
-        local, at = self._local, self.rows
-        local[COM] = com
-        local[IMU : at.soles.stop] = sites
-        local[at.axes] = axes
-        local[at.momentum] = momentum
-        local[at.force] = force - self.odometry.force_bias
+        force, spin = self._measured
+        local, at, strapdown = self._local, self.rows, self.strapdown
+        local[COM] = posture.com
+        local[IMU : at.soles.stop] = posture.sites
+        local[at.axes] = posture.axes
+        local[at.momentum] = posture.momentum
+        local[at.force] = force - strapdown.force_bias
         row = self.ring[number % HISTORY]
-        np.matmul(local, R_odometry_torso.T, out=row[: at.force + 1])
+        np.matmul(local, posture.R.T, out=row[: at.force + 1])
+        row[at.force, 2] -= strapdown.vertical_bias
+        row[at.ground] = posture.R @ strapdown.ground
         row[at.accelerometer] = force
         row[at.gyroscope] = spin
 
@@ -290,13 +310,9 @@ class Beliefs(Believed):
         """
         fell = self.find(time, command, hold)
         if command is None and self.known:
-            self.believed = self.find_contacts(self.believed, self.believed.accelerometer)
+            stance, swing = self.kinematics.at(self.believed, self.ground)
+            self.believed = self.believed._replace(stance=stance, swing=swing)
         return fell
-
-    def find_contacts(self, reference: Believes, accelerometer: Floats) -> Believes:
-        """Return a reference with contacts by kinematics; arguments as of :meth:`Kinematics.at`."""
-        stance, swing = self.kinematics.at(reference, accelerometer)
-        return reference._replace(stance=stance, swing=swing)
 
     def find(self, time: float, command: Any, hold: bool) -> bool:
         """Find beliefs whose contacts are those of the plan, none without one; as :meth:`sample`."""
@@ -308,7 +324,7 @@ class Beliefs(Believed):
         if hold:
             return False
         reference = self.reference(time, *contacts)
-        if not self.upright.at(reference, self.force_bias):
+        if not self.upright.at(reference, self.ground):
             return self.upright.fell
         self.believed = reference
         return False
@@ -327,7 +343,8 @@ class Beliefs(Believed):
             return nothing(self.feet)._replace(stance=stance, swing=swing)
         rows, at = self._at(time), self.rows
         R_level_odometry, origin = _level(rows[at.soles], rows[at.axes])
-        level = rows[: at.momentum_rate + 1] @ R_level_odometry.T
+        level = rows[: at.ground + 1] @ R_level_odometry.T
+        self.ground = level[at.ground]
         level[: at.soles.stop] -= origin
         return Reference(
             level[COM],

@@ -1,41 +1,77 @@
-r"""Velocity of a robot's IMU and rotation of its torso: increments of its IMU, held by the legs that stand.
+r"""Attitude and velocity of a robot: one filter from the first packet on, of its IMU and the legs that stand.
 
-In axes that are level and whose heading follows the gyroscope, the IMU's velocity and the torso's rotation
-follow from its own increments, and from the points of feet that touch the ground,
+In level axes, whose heading follows the gyroscope, the velocity V of the IMU and the rotation R of the torso
+follow the specific force f and the angular velocity w that the IMU measures,
 
-    V' = R (f - b_f) - g e_z + k_1 e,        e = V_legs - V
-    R' = R [w - b_w]x + [k_2 e_z x e]x R,    b_w' = -k_2 R' (e_z x e) / T_b,     b_z' = -k_1 e_z / T_b
+    V' = R (f - b_f) - (g + b_z) e_z,        R' = R [w - b_w]x.
 
-with the specific force f and the angular velocity w. Soles that lie on a level floor show what both are wrong
-by, the accelerometer by b_s; of that b_f = b_s / (1 + (b_s / B)^2) is believed, as floors may lean. A tilt
-that is off by a small angle drives V sideways by g per second and rad, which is how the legs show it; the
-poles of the tilt's loop lie together at 1 / (2 s). The lowest points of feet stand still: V_legs is the
-velocity that this requires.
+The lowest points of the feet stand still, which gives a second velocity V_legs and the innovation
+e = V_legs - V. A tilt error of phi accelerates V sideways by g phi, and an error beta of the gyroscope's bias
+tilts R at this rate. Along each horizontal axis the errors therefore obey
+
+    v' = g phi,        phi' = beta,        beta' = 0,        e = v + noise,
+
+of which a Kalman filter estimates all three. Its covariance is the same along both axes. It starts with a
+tilt that may be wrong by twenty degrees, as a first sample of the accelerometer is while the robot settles,
+and its gains fall within a second to those of a slow filter. It is never restarted: lost packets are filled
+in, and a longer gap only makes it as uncertain as it was at the start.
+
+Flat soles show the normal u of the ground. If the ground is level, the mean excess e = f - g u is the
+accelerometer's error. A slope looks the same, but is often larger, and comes and goes. So the bias b_s follows
+e with a weight that falls with their distance, b_s' = (e - b_s) / (1 + |e - b_s|^2 / B^2)^2 / T, and of it
+b_f = b_s / (1 + |b_s|^2 / B^2) is believed.
 """
 
+from math import cos, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from surefoot.arrays import Floats
 from surefoot.calibration.arrays import skew
-from surefoot.robot.beliefs.nominal import NominalModel
-from surefoot.robot.beliefs.odometry import FREE_FALL
+from surefoot.robot.beliefs.contacts import FREE_FALL
 
-LEG_TIME = 1.0  # 1 / k_1 in s: a step or two, over which the rolling of soles averages out
+LEGS_NOISE = 1.5e-3
+"""Spectral density of the error of the legs' velocity in m^2/s: 0.05 m/s that change every third of a second,
+as soles that roll and yield make them."""
 
-TILT_RATE = 0.5
-"""Where both poles of a tilt lie, in rad/s, which with k_1 = 1 / s makes k_2 the square of it over g."""
+VELOCITY_NOISE = 0.5 * LEGS_NOISE  # m^2/s^3: 0.03 m/s in a second, from vibrations of the accelerometer
+TILT_NOISE = 0.0375 * LEGS_NOISE  # times 1/g^2 in rad^2/s: 0.04 degrees in a second, of cheap gyroscopes
+BIAS_NOISE = 1.56e-4 * LEGS_NOISE
+"""Times 1/g^2 in rad^2/s^3. With these three the filter settles at a gain of 1 / s on the velocity, at two
+poles of the tilt of 0.5 / s, and at a bias that follows in 20 s."""
+
+FIRST_VELOCITY, FIRST_TILT, FIRST_BIAS = 0.5, 0.3, 0.02
+"""Standard deviations at the start in m/s, rad and rad/s: of a robot that is put down or already walks, and of
+the zero of a cheap gyroscope."""
+
+TURNED = 0.3  # rad/s by which a robot that walks tilts unseen while packets are missing
+
+KNOWN_TILT = 0.1  # standard deviation in rad from which on the attitude is good enough for a reference
+
+VERTICAL_BIAS_TIME = 20.0  # time constant in s of the vertical bias, far longer than a step
+
+GROUND_TIME = 0.3  # time constant in s with which the soles correct the normal of the ground
+
+REST_TIME = 2.0  # time constant in s of the excess: some steps, over which accelerations average out
+
+FIRST_TIME = 1.0  # s of data that a bias of zero counts as at the start
+
+FORCE_BIAS_TIME = 10.0  # longest time constant in s of the bias: many steps
 
 ZERO_OFFSET = 0.2
-"""B in m/s^2: 20 mg, which data sheets of accelerometers in robots promise. A floor that leans by more than a
-degree looks like more, and is believed the less the more it does."""
-
-BIAS_TIME = 20.0  # T_b in s: biases follow ten times slower than what shows them
+"""B in m/s^2: 20 mg, which data sheets of accelerometers in robots promise. Ground that leans by more than a
+degree looks like a larger bias, and is believed the less the more it leans."""
 
 TOUCH = 0.003
 """Height in m above the lowest point of the soles at which a point no longer counts as touching: encoders
 that are off by 1e-3 rad make 1 to 3 mm of it over a leg."""
+
+NO_NORMAL = 0.1  # length below which a mean of the soles' normals shows nothing, because they contradict
+
+SMALL = 1e-3  # rad up to which a rotation is taken to second order; its error is 1e-10
+
+SOLE_HEIGHT = 0.003  # height in m above a lower sole at which a sole no longer shows the ground's normal
 
 
 class StrapdownConstants(NamedTuple):
@@ -44,11 +80,24 @@ class StrapdownConstants(NamedTuple):
     points: int  # number of each foot's parts that may touch, n
     corners: Floats  # their centres in the sole frames in m, shape (F, n, 3)
     radius: Floats  # their radii in m, shape (F, n); 0 of points
-    leg_time: float = LEG_TIME
-    tilt_rate: float = TILT_RATE
+    legs_noise: float = LEGS_NOISE
+    velocity_noise: float = VELOCITY_NOISE
+    tilt_noise: float = TILT_NOISE
+    bias_noise: float = BIAS_NOISE
+    first_velocity: float = FIRST_VELOCITY
+    first_tilt: float = FIRST_TILT
+    first_bias: float = FIRST_BIAS
+    turned: float = TURNED
+    known_tilt: float = KNOWN_TILT
+    vertical_bias_time: float = VERTICAL_BIAS_TIME
+    ground_time: float = GROUND_TIME
+    rest_time: float = REST_TIME
+    first_time: float = FIRST_TIME
+    force_bias_time: float = FORCE_BIAS_TIME
     zero_offset: float = ZERO_OFFSET
-    bias_time: float = BIAS_TIME
     touch: float = TOUCH
+    no_normal: float = NO_NORMAL
+    sole_height: float = SOLE_HEIGHT
 
     @classmethod
     def of(cls, places: Floats) -> "StrapdownConstants":
@@ -57,7 +106,14 @@ class StrapdownConstants(NamedTuple):
 
 
 class Strapdown:
-    """The IMU's velocity and the torso's rotation; packets are a period in s apart, and gravity is in m/s^2.
+    """The attitude, the velocity and the ground of one robot.
+
+    Args:
+        period: Time between packets in s.
+        gravity: Acceleration of free fall in m/s^2.
+        touching: The parts of each foot that may touch: centres in the sole frames and radii in m, shape
+            (F, n, 4).
+        rolls: Whether feet are round, so that their soles do not show the ground's normal.
 
     Attributes:
         R: Rotation from the torso's to the level axes, shape (3, 3).
@@ -65,58 +121,118 @@ class Strapdown:
         place: Of the torso in m, by the legs alone, shape (3,).
         spin_bias: Of the gyroscope in rad/s, shape (3,).
         vertical_bias: Of the vertical acceleration in m/s^2.
-        count: Packets that the legs had a say in.
+        ground: Normal of the ground in the torso's axes, shape (3,).
+        excess: Specific force less gravity along the ground's normal in m/s^2, in the mean, shape (3,).
+        sole_bias: Its part that does not change with the ground, b_s, shape (3,).
+        force_bias: The believed error of the accelerometer, b_f, shape (3,).
+        covariance: Of the errors of velocity, tilt and gyroscope bias along a horizontal axis, shape (3, 3).
+        count: Packets so far.
     """
 
-    def __init__(self, period: float, gravity: float) -> None:
-        self._period, self._gravity, self.count = period, gravity, 0
+    def __init__(self, period: float, gravity: float, touching: Floats, rolls: bool = False) -> None:
+        self._period, self._gravity, self._rolls = period, gravity, rolls
+        self._corners, self._radius = touching[..., :3], touching[..., 3]
         self.R = np.eye(3)
         self.velocity, self.place = np.zeros(3), np.zeros(3)
         self.spin_bias, self.vertical_bias = np.zeros(3), 0.0
+        self.ground = np.array([0.0, 0.0, 1.0])
+        self.excess, self.sole_bias, self.force_bias = np.zeros((3, 3))
+        self.count = 0
+        noise = np.array([VELOCITY_NOISE, TILT_NOISE / gravity**2, BIAS_NOISE / gravity**2])
+        self._noise = np.diag(period * noise)
+        drift = period * gravity
+        self._transition = np.array([[1.0, drift, 0.5 * drift * period], [0.0, 1.0, period], [0.0, 0.0, 1.0]])
+        self.covariance = np.diag(np.square([FIRST_VELOCITY, FIRST_TILT, FIRST_BIAS]))
 
-    def begin(self, force: Floats) -> None:
-        """Begin with up as the specific force of a robot at rest shows it."""
-        up = force / np.linalg.norm(force)
-        forward = np.array([1.0, 0.0, 0.0]) - up[0] * up
-        forward /= np.linalg.norm(forward)
-        self.R = np.array([forward, np.cross(up, forward), up])
+    def coast(self, seconds: float) -> None:
+        """Keep the attitude over a gap of unknown motion, and become less certain; negative is any time."""
+        turned = TURNED * seconds if seconds > 0.0 else np.inf
+        tilt = min(self.covariance[1, 1] + turned**2, FIRST_TILT**2)
+        self.covariance = np.diag([FIRST_VELOCITY**2, tilt, self.covariance[2, 2]])
+
+    @property
+    def known(self) -> bool:
+        """Whether the attitude is good enough for references."""
+        return bool(self.covariance[1, 1] < KNOWN_TILT**2)
 
     def advance(
-        self, force: Floats, spin: Floats, legs: Floats, imu: Floats, force_bias: Floats
+        self, force: Floats, spin: Floats, sites: Floats, axes: Floats, twist: Floats
     ) -> tuple[Floats, Floats]:
-        """Go on by one packet.
+        """Take in the middle between two packets.
 
         Args:
             force: Mean specific force since the last packet in the torso's axes in m/s^2, shape (3,).
-            spin: Mean angular velocity in rad/s, less what soles show of the gyroscope's error, shape (3,).
-            legs: Velocity of the torso's origin in its axes in m/s, if the points that touch stand still,
-                shape (3,).
-            imu: Velocity of the IMU relative to that origin, shape (3,).
-            force_bias: What soles on a level floor show of the accelerometer's error in m/s^2, shape (3,).
+            spin: Mean angular velocity in rad/s, shape (3,).
+            sites: Places of the IMU and of the F soles in m, shape (1 + F, 3).
+            axes: Axes x, y and z of each sole, shape (3 F, 3).
+            twist: Angular velocities and velocities of the IMU and the soles, shape (1 + F, 6); like all
+                others relative to the torso and in its axes.
 
         Returns:
-            Rotation and velocity of the IMU at the middle since the last packet, shapes (3, 3) and (3,).
+            Rotation and velocity of the IMU at that middle, shapes (3, 3) and (3,).
         """
-        period, before, start = self._period, self.velocity, self.R
+        period, carried = self._period, bool(force @ force > (FREE_FALL * self._gravity) ** 2)
+        self.count += carried
+        if carried and self.count == 1:
+            self.R = _upright(force)
         turn = (spin - self.spin_bias) * period
-        middle, end = start @ _rotation(0.5 * turn), start @ _rotation(turn)
-        believed = force_bias / (1.0 + (force_bias @ force_bias) / ZERO_OFFSET**2)
-        rise = middle @ (force - believed)
-        rise[2] -= self._gravity + self.vertical_bias
-        velocity = before + rise * period
+        self._find_ground(turn, sites[1:], axes)
+        middle, end = self.R @ _rotation(0.5 * turn), self.R @ _rotation(turn)
+        legs = -touching(sites[1:], axes.reshape(-1, 3, 3), twist[1:], self._corners, self.ground, self._radius)
         by_legs = middle @ legs
-        if force @ force > (FREE_FALL * self._gravity) ** 2:
-            self.count += 1
-            off = by_legs + middle @ imu - 0.5 * (before + velocity)
-            # The first packets are averaged: nothing was known before.
-            velocity = velocity + max(1.0 / self.count, period / LEG_TIME) * off
-            tilt = TILT_RATE**2 / self._gravity * period * np.array([-off[1], off[0], 0.0])
-            end = _rotation(tilt) @ end
-            self.spin_bias = self.spin_bias - middle.T @ tilt / BIAS_TIME
-            self.vertical_bias -= period / (LEG_TIME * BIAS_TIME) * off[2]
-        self.velocity, self.R = velocity, _orthonormal(end)
+        velocity = by_legs + middle @ twist[0, 3:]
+        rise = middle @ (force - self.force_bias)
+        rise[2] -= self._gravity + self.vertical_bias
+        before = self.velocity if self.count > 1 else velocity - 0.5 * period * rise
+        after = before + rise * period
+        P = self._transition @ self.covariance @ self._transition.T + self._noise
+        if carried:
+            off = velocity - 0.5 * (before + after)
+            gain = P[0] / (P[0, 0] + LEGS_NOISE / period)
+            P = P - np.outer(gain, P[0])
+            after = after + gain[0] * off
+            across = np.array([-off[1], off[0], 0.0])
+            end = _rotation(gain[1] * across) @ end
+            self.spin_bias = self.spin_bias - gain[2] * (middle.T @ across)
+            self.vertical_bias -= gain[0] / VERTICAL_BIAS_TIME * off[2]
+            self._find_bias(force)
+        self.velocity, self.R, self.covariance = after, _orthonormal(end), P
         self.place = self.place + by_legs * period
-        return middle, 0.5 * (before + velocity)
+        return middle, 0.5 * (before + after)
+
+    def _find_bias(self, force: Floats) -> None:
+        """Compare the specific force with the normal of the ground, if soles show it."""
+        if self._rolls:
+            return
+        period, bias = self._period, self.sole_bias
+        excess = force - self._gravity * self.ground
+        self.excess = self.excess + max(1.0 / self.count, period / REST_TIME) * (excess - self.excess)
+        off = self.excess - bias
+        weight = 1.0 / (1.0 + off @ off / ZERO_OFFSET**2) ** 2
+        share = period / min(FIRST_TIME + self.count * period, FORCE_BIAS_TIME)
+        self.sole_bias = bias = bias + share * weight * off
+        self.force_bias = bias / (1.0 + bias @ bias / ZERO_OFFSET**2)
+
+    def _find_ground(self, turn: Floats, soles: Floats, axes: Floats) -> None:
+        """Turn the ground's normal on, and correct it by the soles that are lowest along it.
+
+        A sole counts by the product of its odds against each other one: 1/2 for two at one height, 1 for one
+        that is lower by :data:`SOLE_HEIGHT`, and nothing for the other.
+        """
+        if self._rolls:
+            self.ground = self.R[2]
+            return
+        ground = self.ground - np.cross(turn, self.ground)
+        height = soles @ ground
+        beats = 0.5 * np.clip(1.0 - (height[:, None] - height) / SOLE_HEIGHT, 0.0, 2.0)
+        np.fill_diagonal(beats, 1.0)
+        weight = beats.prod(axis=1)
+        # The first ones are averaged: nothing was known before.
+        share = max(1.0 / max(self.count, 1), self._period / GROUND_TIME)
+        ground = ground + share * (weight @ axes[2::3] / weight.sum() - ground)
+        length = np.linalg.norm(ground)
+        if length > NO_NORMAL:
+            self.ground = ground / length
 
 
 def touching(
@@ -129,7 +245,7 @@ def touching(
         axes: Their axes x, y and z, shape (F, 3, 3).
         twist: Their angular velocities and velocities, shape (F, 6).
         corners: Points in the sole frames in m, shape (F, n, 3).
-        up: Unit vector against gravity, shape (3,); like all others in the torso's axes.
+        up: Normal of the ground, shape (3,); like all others in the torso's axes.
         radius: Radii of spheres about these points in m, whose lowest points touch, shape (F, n).
     """
     arm = corners @ axes
@@ -142,43 +258,20 @@ def touching(
     return mean
 
 
-class RollingOdometry:
-    """Turns the torso of a robot on round feet on, as :class:`Odometry` does by the soles of flat ones.
-
-    A round foot does not show the level by the way in which it is turned; its lowest point stands
-    still. The accelerometer's excess along the ground is part of the tilt. Parts that may touch have
-    centres in the sole frames, shape (F, n, 3), and radii, shape (F, n), in m; packets are ``period`` s
-    apart.
-
-    Attributes:
-        force_bias: Zeros: nothing is taken for an error of the accelerometer, shape (3,).
-        spin_bias: Zeros as well: the legs show what the gyroscope's is.
-        strapdown: Velocity and attitude.
-        count: Middles between packets so far.
-    """
-
-    def __init__(self, model: NominalModel, period: float, corners: Floats, radius: Floats) -> None:
-        self._model, self._corners, self._radius = model, corners, radius
-        self.strapdown, self.count = Strapdown(period, model.gravity), 0
-        self.force_bias = self.spin_bias = np.zeros(3)
-
-    def turn(self, spin: Floats, force: Floats, sites: Floats, axes: Floats) -> Floats:
-        """Take in one middle between packets; as :meth:`Odometry.turn`."""
-        if not self.count:
-            self.strapdown.begin(force)
-        self.count += 1
-        _, twist = self._model.velocities()
-        up = self.strapdown.R[2]
-        soles = sites[1:], axes.reshape(-1, 3, 3), twist[1:]
-        legs = -touching(*soles, self._corners, up, self._radius)
-        R, _ = self.strapdown.advance(force, spin, legs, twist[0, 3:], self.force_bias)
-        return R
+def _upright(force: Floats) -> Floats:
+    """Return the rotation of a torso at rest, whose specific force points up, shape (3, 3)."""
+    up = force / np.linalg.norm(force)
+    axis = 0 if abs(up[0]) < 0.9 else 2  # the heading is arbitrary; the torso may lie on its back
+    forward = np.eye(3)[axis] - up[axis] * up
+    forward /= np.linalg.norm(forward)
+    return np.array([forward, np.cross(up, forward), up])
 
 
 def _rotation(turn: Floats) -> Floats:
-    """Return the rotation by a small angle, to second order, shape (3, 3)."""
-    cross = skew(turn)
-    rotation: Floats = np.eye(3) + cross + 0.5 * cross @ cross
+    """Return the rotation by a vector in rad (Rodrigues), shape (3, 3)."""
+    cross, angle = skew(turn), sqrt(turn @ turn)
+    first, second = (sin(angle) / angle, (1.0 - cos(angle)) / angle**2) if angle > SMALL else (1.0, 0.5)
+    rotation: Floats = np.eye(3) + first * cross + second * cross @ cross
     return rotation
 
 
