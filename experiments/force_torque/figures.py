@@ -9,7 +9,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from surefoot.arrays import Floats
 from surefoot.experiments.force_torque.tables import Calibrated
-from surefoot.experiments.force_torque.validation import force_ellipsoid
+from surefoot.experiments.force_torque.validation import force_ellipsoid, spans_space
 from surefoot.experiments.study.figures import Look, figure_at, grid_of, legend_below, look_of
 
 FORCES = ("x (N)", "y (N)", "z (N)")
@@ -65,17 +65,19 @@ def draw_ellipsoids(path: Path, panels: Sequence[Panel], labels: tuple[str, str,
 
 
 def _draw_cloud(axes: Any, cloud: Cloud, shell: str) -> None:
-    """Draw points, and their ellipsoid as a net of thin lines of a colour."""
+    """Draw points, and their ellipsoid as thin lines of a colour unless gravity stayed in one plane."""
     points, look = cloud.points[np.isfinite(cloud.points).all(axis=1)], cloud.look
     shown = points[:: max(1, len(points) // _SHOWN)]
     axes.scatter(*shown.T, s=2.0, color=look.colour, alpha=0.7, depthshade=False, label=look.label)
+    if cloud.mark is not None:
+        axes.scatter(*cloud.mark, s=18.0, color="#000000", marker="+")
+    if not spans_space(cloud.gravity):
+        return
     ellipsoid = force_ellipsoid(cloud.points, cloud.gravity)
     u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 13))
     unit = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
     x, y, z = np.tensordot(ellipsoid.axes, unit, axes=1) + ellipsoid.centre[:, None, None]
     axes.plot_wireframe(x, y, z, color=shell, linewidth=0.35, alpha=0.55)
-    if cloud.mark is not None:
-        axes.scatter(*cloud.mark, s=18.0, color="#000000", marker="+")
 
 
 def raw_ellipsoids(path: Path, found: Calibrated) -> Path:

@@ -7,7 +7,7 @@ import numpy as np
 
 from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
-from surefoot.calibration.in_situ import InSituFit, InSituSet, estimate_offset
+from surefoot.calibration.in_situ import InSituFit, InSituSet
 from surefoot.calibration.layout import FORCE_TORQUE_NAMES
 from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.force_torque.validation import (
@@ -17,6 +17,7 @@ from surefoot.experiments.force_torque.validation import (
     motion_wrench,
     offset_of_set,
     predict_wrench,
+    spans_space,
 )
 from surefoot.experiments.study.tables import Table, decimal, number, round_to, with_deviation
 
@@ -53,7 +54,7 @@ class Calibrated:
         """Share of each set's spread that leaves the three-space of Lemma 1, shape (J,)."""
         return np.array(
             [
-                estimate_offset(data.raw, data.gravity).affine_residual
+                _leave_three_space(data.raw)
                 if place is None
                 else self.fit.affine_residual[place]
                 for data, place in zip(self.sets, self.numbers, strict=True)
@@ -96,6 +97,13 @@ class Calibrated:
         return np.asarray(data.raw - self.offsets[index] - expected)
 
 
+def _leave_three_space(raw: Floats) -> float:
+    """Return the share of the spread of readings, shape (n, k), outside the three-space of Lemma 1."""
+    whole = raw[np.isfinite(raw).all(axis=1)]
+    singular = np.linalg.svd(whole - whole.mean(axis=0), compute_uv=False)
+    return float(np.linalg.norm(singular[3:]) / np.linalg.norm(singular))
+
+
 def make_tables(found: Calibrated) -> tuple[Table, ...]:
     """Make the tables that a terminal shows."""
     return (set_table(found), limb_table(found), semi_axes_table(found), *weighing_tables(found))
@@ -108,6 +116,9 @@ def semi_axes_table(found: Calibrated) -> Table:
         weight = (found.fit.limb.mass + data.added_mass) * GRAVITY
         cells = [found.label(i), decimal(data.added_mass, ".3f"), number(weight)]
         for matrix in found.matrices.values():
+            if not spans_space(data.gravity):
+                cells += ["–"] * 4
+                continue
             ellipsoid = force_ellipsoid(found.wrench(i, matrix)[:, :3], data.gravity)
             cells += [*map(number, ellipsoid.semi_axes), decimal(ellipsoid.ratio, ".3f")]
         rows.append(tuple(cells))

@@ -42,7 +42,7 @@ class AddedMassEstimate(NamedTuple):
     """Mass added to a limb, and its place."""
 
     mass: float  # in kg; may come out negative where nothing hangs
-    position: Floats  # of its centre of mass in the sensor's frame in m, shape (3,); NaN without mass
+    position: Floats  # of its centre of mass in the sensor's frame in m, shape (3,); NaN if it is unknown
 
 
 def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
@@ -58,25 +58,32 @@ def force_ellipsoid(points: ArrayLike, gravity: ArrayLike) -> Ellipsoid:
     array([19.62, 19.62, 19.62])
     """
     points, gravity = _take_finite(points, gravity)
-    pull = gravity - gravity.mean(axis=0)
-    spread = np.linalg.svd(pull, compute_uv=False)
-    if spread[2] < _LEAST * spread[0]:
+    if not spans_space(gravity):
         raise ValueError(
             "Gravity stays in a plane of the sensor's frame, and its ellipsoid has three axes; turn the "
             "limb about a second axis."
         )
+    pull = gravity - gravity.mean(axis=0)
     K = np.linalg.lstsq(pull, points - points.mean(axis=0), rcond=None)[0].T
     size = float(np.sqrt(np.mean(np.sum(gravity**2, axis=1))))
     directions, lengths, _ = np.linalg.svd(K)
     return Ellipsoid(points.mean(axis=0) - K @ gravity.mean(axis=0), size * directions * lengths)
 
 
+def spans_space(gravity: ArrayLike) -> bool:
+    """Return whether gravity, shape (n, 3), turned out of one plane, so that it shows an ellipsoid."""
+    g = np.asarray(gravity, dtype=np.float64)
+    g = g[np.isfinite(g).all(axis=1)]
+    spread = np.linalg.svd(g - g.mean(axis=0), compute_uv=False)
+    return bool(len(spread) == 3 and spread[2] >= _LEAST * spread[0])
+
+
 def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEstimate:
     """Return mass and place of the load added to a limb at rest (in-situ paper, Tables II and III).
 
     Least squares of w - M(limb) g = M(m, c) g in m, and of its torques in m c, of w = C (r - o), (n, 6), and
-    g in the sensor's frame, (n, 3); a limb in motion is brought to rest by :func:`motion_wrench` first.
-    ValueError if fewer than four rows are finite, or gravity has one direction only.
+    g in the sensor's frame, (n, 3). A limb in motion is brought to rest by :func:`motion_wrench` first. The
+    place is NaN if gravity has one direction only. ValueError if fewer than four rows are finite.
     """
     wrench, gravity = _take_finite(wrench, gravity)
     force = wrench[:, :3] - limb.mass * gravity
@@ -85,11 +92,10 @@ def added_mass(wrench: ArrayLike, gravity: ArrayLike, limb: Limb) -> AddedMassEs
     # The torque (m c) x g is linear in m c: normal equations of -[g]x, summed over the rows.
     squares = gravity.T @ gravity
     normal = np.trace(squares) * np.eye(3) - squares
-    if np.linalg.eigvalsh(normal)[0] < _LEAST**2 * np.trace(squares):
-        raise ValueError("Gravity has one direction only; turn the limb to find where the mass hangs.")
+    if mass == 0.0 or np.linalg.eigvalsh(normal)[0] < _LEAST**2 * np.trace(squares):
+        return AddedMassEstimate(mass, np.full(3, np.nan))
     first_moment = np.linalg.solve(normal, np.cross(gravity, torque).sum(axis=0))
-    position = first_moment / mass if mass != 0.0 else np.full(3, np.nan)
-    return AddedMassEstimate(mass, np.asarray(position))
+    return AddedMassEstimate(mass, np.asarray(first_moment / mass))
 
 
 def offset_of_set(
