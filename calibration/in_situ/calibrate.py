@@ -118,7 +118,7 @@ def _linear_algebra() -> ThreadpoolController:
 def _answer(task: Task, accept: str) -> InSituFit:
     """Return the answer, or a fit of NaN with the reason why there is none."""
     try:
-        findings = check_sets(task.sets, task.options, task.owner)
+        findings = check_sets(task)
         if refused := decide(findings, accept).refused:
             return refuse_fit(task.sets, refused)
         solved, found = _solve(task)

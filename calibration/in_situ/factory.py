@@ -19,8 +19,11 @@ from surefoot.calibration.results import Finding
 
 _TRIED = 4  # ways of each kind, those that miss least, that are fitted
 
-_COARSE = (0.2, 0.05, 0.01)
+_COARSE = (0.2, 0.05, 0.01, 0.002)
 """Sizes of a maker's errors by which matrices are compared, as shares of full scale."""
+
+_SMALL_TURN = np.radians(0.5)  # rotation in rad below which no mounting is blamed: it moves loads by 1 %
+_IN_PLANE = 1e-3  # share of the second direction below which gravity stayed in a plane, which has no mirror image
 
 _POUND = 0.45359237  # in kg
 
@@ -36,7 +39,8 @@ def check_factory(task: Task, problem: Problem, solution: Solution, determined: 
     problem has the prior by the matrix.
     """
     assert task.factory is not None
-    factory, limb_known = task.factory, determined or len(problem.limb_root) == STATIC
+    factory = task.factory
+    limb_known = determined or (task.limb is not None and task.limb.com is not None)
     expected = _loads(solution) if limb_known else _hangs(factory, solution)
     measured = np.concatenate([part.response[:, DIRECT] @ part.turned.T for part in problem.sets], axis=1)
     masses = problem.added[:, MASS]
@@ -51,15 +55,21 @@ def check_factory(task: Task, problem: Problem, solution: Solution, determined: 
         return float(np.linalg.norm(weight * (hangs - matrix @ measured)) / np.linalg.norm(weight * hangs))
 
     now = miss(factory)
-    if now < limits.FACTORY_MISSES:
+    gravity = np.concatenate([part.turned.T for part in problem.sets], axis=1)
+    known = weight * expected if limb_known and expected is not None else None
+    turn = _find_turn(weight * (factory @ measured), known, gravity)
+    turned = [("", factory)] if turn is None else [_turn_frame(factory, turn)]
+    if now < limits.FACTORY_MISSES and miss(turned[0][1]) >= limits.READ_BETTER * now:
         return []
     start = solution.outer.copy()
     if not limb_known:
         start[: problem.parameters] = problem.limb
     rows = sum(part.rows for part in problem.sets)
     tried = [("", "", _evidence_of(factory, problem, solution.rotation, start))]
-    ways = [(0, list(_other_readings(factory)))]
-    if expected is not None:
+    ways = [] if turn is None else [(3, turned)]
+    if now >= limits.FACTORY_MISSES:
+        ways.append((0, list(_other_readings(factory))))
+    if expected is not None and now >= limits.FACTORY_MISSES:
         ways.append((1, list(_other_entries(factory, measured, expected))))
         ways.append((3, list(_other_point(factory, measured, expected))))
     for free, others in ways:
@@ -67,15 +77,53 @@ def check_factory(task: Task, problem: Problem, solution: Solution, determined: 
         for left, words, matrix in scored[:_TRIED]:
             if left < min(limits.READ_BETTER * now, 1.0):
                 odds = _evidence_of(matrix, problem, solution.rotation, start)
+                cure = _tell_rotation(turn) if matrix is turned[0][1] and turn is not None else _CURE
                 tried.append(
-                    (words.format(owner=task.owner), _CURE, odds - penalise(free, rows, len(others)))
+                    (words.format(owner=task.owner), cure, odds - penalise(free, rows, len(others)))
                 )
     ranked = rank(tried)
     if not ranked or ranked[0].gain < limits.CLEARER:
         return []
     at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
-    reason = f"The {task.owner} matrix {at_odds}."
-    return [tell_causes(Finding("factory matrix", reason, "", ranked[0].gain, limits.CLEARER), ranked)]
+    finding = Finding("factory matrix", f"The {task.owner} matrix {at_odds}.", "", now, limits.MOVED)
+    return [replace(tell_causes(finding, ranked), refuses=now > limits.MOVED)]
+
+
+def _find_turn(measured: Matrix, expected: Matrix | None, gravity: Matrix) -> Rotation | None:
+    """Return the rotation that takes measured wrenches, shape (6, n), closest to loads (Kabsch, 1976).
+
+    Loads are the expected ones, shape (6, n), or along gravity, shape (3, n), if no limb is known. None where
+    a mirror image would be closer, or the rotation is small.
+    """
+    pairs = zip(np.split(measured, 2), np.split(expected, 2), strict=True) if expected is not None else ()
+    square = sum((load @ read.T for read, load in pairs), np.zeros((3, 3)))
+    if expected is None:
+        square = gravity @ measured[:3].T
+    left, size, right = np.linalg.svd(square)
+    mirrors = np.linalg.det(left @ right) < 0.0
+    if mirrors and size[2] > _IN_PLANE * size[1]:
+        return None
+    turn = Rotation.from_matrix(left @ np.diag([1.0, 1.0, -1.0 if mirrors else 1.0]) @ right)
+    return turn if turn.magnitude() > _SMALL_TURN else None
+
+
+def _turn_frame(factory: Matrix, turn: Rotation) -> tuple[str, Matrix]:
+    """Return a turned frame in words, and the matrix as it then is."""
+    about = ", ".join(f"{value:.2f}" for value in turn.as_rotvec() / turn.magnitude())
+    degrees = np.degrees(turn.magnitude())
+    words = (
+        f"the {{owner}} frame is turned by {degrees:.3g} degrees about [{about}] against the frame of gravity"
+    )
+    return words, np.kron(np.eye(2), turn.as_matrix()) @ factory
+
+
+def _tell_rotation(turn: Rotation) -> str:
+    """Return advice that contains the rotation of gravity to the sensor's axes."""
+    rows = ", ".join(f"[{', '.join(f'{value:.4f}' for value in row)}]" for row in turn.inv().as_matrix())
+    return (
+        f"Give gravity in the sensor's axes: R_sensor_accelerometer = [{rows}], or estimate_rotation to fit "
+        "it. Places of masses must be in the sensor's axes as well."
+    )
 
 
 def _evidence_of(matrix: Matrix, problem: Problem, rotation: Matrix, start: Vector) -> float:
@@ -148,14 +196,6 @@ def _other_readings(factory: Matrix) -> Iterator[tuple[str, Matrix]]:
             f"axis {name} of the sensor has the other sign, force and torque: a left-handed frame",
             mirror * factory,
         )
-    for turn in Rotation.create_group("O"):
-        if turn.magnitude() > 0.0:
-            about = np.round(turn.as_rotvec() / turn.magnitude(), 2).tolist()
-            degrees = np.degrees(turn.magnitude())
-            words = (
-                f"the {{owner}} frame is turned by {degrees:.0f} degrees about {about} against the sensor's"
-            )
-            yield words, np.kron(np.eye(2), turn.as_matrix()) @ factory
     yield "rows of the {owner} matrix are torques first", np.roll(factory, 3, axis=0)
     rows, channels = factory.shape
     if rows == channels:

@@ -302,8 +302,8 @@ def _limb_alone(
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
     """Return the limb's mass and its deviation in kg by the readings alone, and with the factory matrix."""
     problem = solution.problem
-    of_limb = len(problem.limb_root) - (problem.parameters - problem.of_loads.start)
-    free = replace(problem, maker=None, limb_root=problem.limb_root[of_limb:])
+    of_loads = problem.parameters - problem.of_loads.start
+    free = replace(problem, maker=None, limb_root=problem.limb_root[len(problem.limb_root) - of_loads :])
 
     def weigh(one: Problem) -> tuple[float, float]:
         alone = solve(one, [solution.outer])

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
-from scipy.special import chdtri
+from scipy.special import fdtri
 
 from surefoot.calibration.arrays import MAD_TO_STD, orthonormal, triangle
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Matrix, Vector
@@ -32,6 +32,8 @@ from surefoot.calibration.in_situ.model import DIRECT, SPREAD_ROUNDING, signals
 from surefoot.calibration.in_situ.solver.colour import Colour, Spectrum, likeliest_colour, motion_frequency
 
 _GATE = 1e-9  # probability that a sample of nothing but noise is left out
+
+_MEDIAN = 0.37  # efficiency of the median deviation: the share of the rows that it is worth
 
 _SLIGHT = 0.05
 """Share of a channel's spread by which a sample must be off to be left out: 1 % of hysteresis leaves up to
@@ -105,7 +107,8 @@ def _reject(u: Matrix, raw: Matrix, whole: NDArray[np.bool_]) -> NDArray[np.bool
     span = np.linspace(-1.0, 1.0, len(u))
     u = u[:, varies]
     standard = (u - u[whole].mean(axis=0)) / u[whole].std(axis=0)
-    columns = np.column_stack([np.ones(len(u)), span, span**2, standard])[whole]
+    # Gravity that turns along a line or in a plane leaves columns that depend on each other.
+    columns, _ = orthonormal(np.column_stack([np.ones(len(u)), span, span**2, standard])[whole], SPREAD_ROUNDING)
     if len(columns) > 2 * columns.shape[1]:
         rejected[whole] = _outliers(columns, raw[whole])
     return rejected
@@ -137,9 +140,12 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     their own median. A clean set needs one look and no weights. ``columns``, shape (n, c), explain the
     readings.
     """
-    limit = float(chdtri(raw.shape[1], _GATE))
     stride = max(len(raw) // _LOOKED, 1)
     some, readings = columns[::stride], raw[::stride]
+    # The spread comes from the same rows, so that the distances follow an F distribution.
+    free = max(_MEDIAN * (len(some) - some.shape[1]), 1.0)
+    limit = raw.shape[1] * float(fdtri(raw.shape[1], free, 1.0 - _GATE))
+    rounding = np.array([_converter_step(channel) for channel in raw.T]) / np.sqrt(12.0)
     weight = np.ones(len(some))
     spread = np.std(readings, axis=0)
     floor = SPREAD_ROUNDING * spread + np.finfo(float).tiny
@@ -147,7 +153,7 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
         weighted = weight[:, None] * some
         map_ = np.linalg.solve(weighted.T @ some, weighted.T @ readings)
         left = readings - some @ map_
-        deviation = np.maximum(MAD_TO_STD * np.median(np.abs(left), axis=0), floor)
+        deviation = np.maximum(np.hypot(MAD_TO_STD * np.median(np.abs(left), axis=0), rounding), floor)
         distance = np.sum((left / deviation) ** 2, axis=1)
         if i == 0 and not (distance > limit).any():
             break
@@ -157,6 +163,12 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
     residual = left if stride == 1 else raw - columns @ map_
     distance = np.sum((residual / deviation) ** 2, axis=1)
     return np.asarray((distance > limit) & (np.abs(residual) > _SLIGHT * spread).any(axis=1))
+
+
+def _converter_step(counts: Vector) -> float:
+    """Return the smallest difference between two values of a channel: one count of its converter, or less."""
+    values = np.unique(counts)
+    return float(np.min(np.diff(values))) if len(values) > 1 else 0.0
 
 
 class OffsetAt(NamedTuple):
@@ -279,7 +291,8 @@ def compress(
         u = signals(data, moving)
         if temperature and data.temperature is not None:
             u = np.concatenate([u, data.temperature[:, None]], axis=1)
-        rows.append(_rows_of(data, u, options.robust, options.drift, timed))
+        # Without times the order of the samples has no meaning, and no drift shows.
+        rows.append(_rows_of(data, u, options.robust, options.drift and timed, timed))
     return _compress_rows(rows)
 
 

@@ -4,7 +4,7 @@ Rows of all sets have noise of variance one, so that priors have their weight am
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from typing import NamedTuple
@@ -78,6 +78,8 @@ class Problem:
     maker: Maker | None  # prior of the response, or None
     limb: Vector  # expected inertial parameters, shape (p,); zero where nothing is known
     limb_root: Matrix  # rows that weigh phi - limb, shape (q, p)
+    misfit: Vector | None = None
+    """Variances of readings that the maker's matrix leaves with the likeliest limb, (k,); None without one."""
     gains: int = 0
     """Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0."""
     law: Law = Law.LOOPS  # of the hysteresis
@@ -86,16 +88,28 @@ class Problem:
 
     @cached_property
     def noise(self) -> Matrix:
-        """Covariance of a sample's noise in counts^2, shape (k, k); of few samples nearly diagonal."""
+        """Covariance of a sample's noise in counts^2, shape (k, k).
+
+        It is shrunk towards its diagonal when there are few samples, and the diagonal towards what the
+        maker's matrix leaves: a few poses may leave no residual, which does not mean that there is no noise.
+        """
         scatter = np.sum([part.rr.T @ part.rr for part in self.sets], axis=0)
-        freedom = max(sum(part.freedom for part in self.sets), 1)
-        S = scatter / freedom
-        # It fades faster than the error of S: the diagonal depends on how the channels mix.
-        share = len(S) / (freedom + len(S)) * _FEW / (freedom / len(S) + _FEW)
+        freedom = sum(part.freedom for part in self.sets)
         spread = np.sum([part.ur.T @ part.ur for part in self.sets], axis=0)
-        spread = np.diag(spread) / sum(part.samples for part in self.sets)
-        diagonal = np.diag(np.diag(S))
-        return np.asarray((1.0 - share) * S + share * diagonal + _NOISE_FLOOR**2 * np.diag(spread))
+        floor = _NOISE_FLOOR**2 * np.diag(spread) / sum(part.samples for part in self.sets)
+        variance, k = np.diag(scatter) / max(freedom, 1), len(scatter)
+        # It fades faster than the error of S: the diagonal depends on how the channels mix.
+        share = k / (freedom + k) * _FEW / (freedom / k + _FEW)
+        whole = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
+        correlation = (1.0 - share) * scatter / max(freedom, 1) / np.outer(whole, whole)
+        correlation[np.diag_indices(k)] = 1.0
+        if self.misfit is not None:
+            ratio = np.log(np.maximum(variance, floor) / np.maximum(self.misfit, floor))
+            level = np.exp(k * freedom / (k * freedom + _OF_MAKER) * np.mean(ratio))
+            of_maker = _OF_MAKER / (freedom + _OF_MAKER)
+            variance = (1.0 - of_maker) * variance + of_maker * level * self.misfit
+        root = np.sqrt(variance)
+        return np.asarray(np.outer(root, root) * correlation + np.diag(floor))
 
     @cached_property
     def whitening(self) -> Matrix:
@@ -176,13 +190,15 @@ CREEPING = np.geomspace(4.0, 128.0, 6)
 a drift."""
 
 _FEW = 10.0  # free samples a channel up to which their covariance is drawn to a diagonal one in earnest
+_OF_MAKER = 6.0  # degrees of freedom that the noise by the maker's matrix counts as
+_LEAST_MASS = 1e-3  # mass of a limb in kg that is taken at least
 _NOISE_FLOOR = 1e-10  # noise counts as at least this share of a channel's spread: a simulation may have none
 
 
 def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) -> Problem:
     """Return the least-squares problem of compressed sets, without a maker's prior."""
     limb, root = _limb_rows(task.limb, task.moving)
-    return Problem(
+    problem = Problem(
         sets=parts,
         added=np.array(
             [inertial_parameters(one.added_mass, one.added_com, task.moving) for one in task.sets]
@@ -196,6 +212,27 @@ def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) 
         limb=limb,
         limb_root=root,
     )
+    if task.factory is None or task.mode == "free" or problem.rotation:
+        return problem
+    shown = weigh_limb(task.factory, problem, np.eye(3))
+    if task.limb is None or task.limb.com is None:
+        # Directions of the centre of mass that no torque shows stay within reach of a limb.
+        reach = np.zeros((3, problem.parameters))
+        reach[:, MOMENT] = np.eye(3) / (limits.LONGEST_ARM * max(abs(float(shown[MASS])), _LEAST_MASS))
+        problem = replace(problem, limb_root=np.concatenate([root, reach]))
+    return problem if task.moving else replace(problem, misfit=_misfit(problem, task.factory, shown))
+
+
+def _misfit(problem: Problem, factory: Matrix, limb: Vector) -> Vector:
+    """Return the variances in counts^2, shape (k,), of what a maker's matrix and its limb leave."""
+    response = np.linalg.pinv(factory)
+    square, rows = np.zeros(factory.shape[1]), 0
+    for part, added in zip(problem.sets, problem.added, strict=True):
+        T = np.einsum("p,pws->ws", limb + added[:STATIC], transform_basis(moving=False))
+        left = part.ur - part.uu[:, DIRECT] @ (response @ T).T
+        square += np.sum(left**2, axis=0) + np.sum(part.rr**2, axis=0)
+        rows += part.freedom + len(left)
+    return np.asarray(square / max(rows - STATIC / AXES, 1.0))
 
 
 def _limb_rows(known: KnownLimb | None, moving: bool) -> tuple[Vector, Matrix]:
