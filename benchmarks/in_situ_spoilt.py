@@ -562,7 +562,9 @@ def tell(data: pd.DataFrame, verbose: bool) -> None:
 
 def _first_cause(message: str) -> str:
     """Find the likeliest cause of a message, or all of it where it has none."""
-    found = re.search(r"Likeliest: (.*?)(?: \([<>]? ?\d+ %\)|, which leaves)", message)
+    found = re.search(
+        r"(?:The likeliest cause|The closest of them): (.*?)(?: \(probability|, which leaves)", message
+    )
     return found.group(1) if found else message
 
 

@@ -16,7 +16,14 @@ from surefoot.calibration.excitation.plan import FootMotion, MovingRobot, plan_f
 from surefoot.calibration.foot_calibrator import FootCalibrator
 from surefoot.calibration.front_end.filters import zero_phase
 from surefoot.calibration.imu import calibrate_accelerometer, gravity_from_imu
-from surefoot.calibration.in_situ import InSituSet, InSituTracker, KnownLimb, calibrate_in_situ
+from surefoot.calibration.in_situ import (
+    InSituSet,
+    InSituTracker,
+    KnownLimb,
+    Limb,
+    calibrate_in_situ,
+    read_calibration,
+)
 from surefoot.calibration.layout import FeetLayout, FootLayout, nao_shoe_layout
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.online import METHODS, online_method, register_method
@@ -46,6 +53,7 @@ __all__ = [
     "InSituSet",
     "InSituTracker",
     "KnownLimb",
+    "Limb",
     "Moment",
     "MomentumReference",
     "MovingRobot",
@@ -66,6 +74,7 @@ __all__ = [
     "online_method",
     "plan_foot_excitation",
     "posterior_bound",
+    "read_calibration",
     "register_method",
     "replay",
     "standing_start",

@@ -52,13 +52,18 @@ class Experience:
         return float(ndtr(-np.log(max(size, 1e-12) / self.size) / self.spread))
 
 
+def _keep(data: Any) -> Any:
+    return data
+
+
 class Mistake(NamedTuple):
     """A mistake that data may contain."""
 
     kind: str  # for tables and tests
     cause: str  # the mistake, as a clause
     cure: str  # advice for the user, as a clause
-    undo: Callable[[Any], Any]  # changes data to those without the mistake
+    undo: Callable[[Any], Any] = _keep
+    """Changes data to those without the mistake. By default they stay: the fit contains the mistake."""
 
 
 class Tried(NamedTuple):

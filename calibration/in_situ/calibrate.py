@@ -248,19 +248,19 @@ def _name_causes(findings: list[Finding], solved: Solved, accept: str) -> list[F
     # A drift may be why a fit is refused that nothing contradicts.
     doubted = (one for one in findings if one.refuses == refused and (one.contradicts or (drift and refused)))
     worst = next(doubted, drift)
-    if worst is None:
+    if worst is None or (worst is drift and not refused):
         return findings
     symptom = worst.with_cause(drift.reason, drift.cure) if drift and worst is not drift else worst
     # A delay that is longer than those of sound logs is one of the causes.
     late = solved.delay > limits.VERY_LATE
     sets = level(solved.task.sets, solved.sphere) if late else solved.sets
     with suppress(np.linalg.LinAlgError):
-        found, moved = find_causes(_gather_evidence(solved.task, sets))
-        symptom = tell_causes(symptom, found, drift.cure if drift else "")
+        causes = find_causes(_gather_evidence(solved.task, sets))
+        symptom = tell_causes(symptom, causes, drift.cure if drift else "")
         # Without times hysteresis that nobody sees looks like many a cause.
-        clear = solved.task.timed and found and found[0].gain > limits.CLEARER and moved > limits.MOVED
+        clear = solved.task.timed and causes.diagnosis.is_certain and causes.moved > limits.MOVED
         symptom = replace(symptom, refuses=worst.refuses or bool(worst.contradicts and clear))
-        if found and refused and not accept and worst.name not in DOUBTS:
+        if causes.diagnosis.likely and refused and not accept and worst.name not in DOUBTS:
             follow = (*DOUBTS, "added masses")
             findings = [one for one in findings if one is worst or one.name not in follow]
     return [symptom if one is worst else one for one in findings if one is worst or one is not drift]

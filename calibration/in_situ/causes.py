@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import orthonormal
+from surefoot.calibration.diagnosis import LIKELY, Diagnosis, Experience, Mistake, Tried, diagnose
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals, measure_repeated
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
@@ -123,32 +124,92 @@ class Cause(NamedTuple):
     choices: int  # number of alternatives of which it is the best
 
 
-class Ranked(NamedTuple):
-    """A cause that explains something."""
+EXPERIENCE = Experience(unknown=0.2, mimicked=0.2, size=0.003, spread=0.6)
+"""Sound sets leave 0.1 to 0.9 % of the spread, most of it hysteresis; see benchmarks/in_situ_spoilt.py."""
 
-    words: str  # the cause, for a message
-    cure: str  # advice for the user
-    share: float  # its probability beside the others and none of them
-    gain: float  # logarithm of its odds against none of them in nats
+_BEST = 0.001  # share of the spread that the best of sound sensors leave
+
+_CLOSER = 0.5  # share of the residuals that the closest mistake may leave to be worth a word
+
+_MISTAKES = 20.0  # kinds of mistakes, each of which is that much rarer than data without any
+
+_LAW = 100.0
+"""Readings that an error of the sensor's model is worth, however many samples repeat it. Loops of two laws
+differ by a few numbers for each axis, and so do the loops of the same law at other swings."""
 
 
-def find_causes(evidence: Evidence) -> tuple[list[Ranked], float]:
-    """Try each known cause; return those that explain something, the likeliest first.
+class Causes(NamedTuple):
+    """What was found out about the causes of a contradiction."""
 
-    Also by which share that one moves contact loads: zero if it has many unknowns, which hysteresis of a law
-    that the fit has not may look like.
-    """
-    tried = [Cause("", "", evidence.solution, 0, 1)]
+    diagnosis: Diagnosis  # probabilities of all that were tried
+    closest: Tried | None  # leaves less than half of the residuals; None if no mistake does
+    moved: float
+    """Share by which the likeliest cause moves contact loads. Zero if it has many unknowns, which hysteresis
+    of a law that the fit has not may look like."""
+
+    @classmethod
+    def of(cls, tried: Sequence[Tried], evidence: float, size: float, experience: Experience) -> "Causes":
+        """Return the causes among those that were tried, beside the fit without any."""
+        found = diagnose(tried, evidence, size, experience)
+        closest = max(tried, key=lambda one: one.evidence, default=None)
+        if closest and (closest.evidence - evidence < limits.CLEARER or closest.size > _CLOSER * size):
+            closest = None
+        return cls(found, closest, 0.0)
+
+
+def find_causes(evidence: Evidence) -> Causes:
+    """Try each known cause, and return their probabilities beside none of them and an unknown one."""
+    found = list[Cause]()
     for look in _KINDS:
         # Bad data without one cause may have no answer with another.
         with suppress(np.linalg.LinAlgError):
-            tried += look(evidence)
+            found += look(evidence)
     rows = sum(part.rows for part in evidence.problem.sets)
-    odds = [-0.5 * deviance(one.solution) - penalise(one.free, rows, one.choices) for one in tried]
-    ranked = rank([(one.words, one.cure, value) for one, value in zip(tried, odds, strict=True)])
-    likeliest = tried[int(np.argmax(odds))]
-    moved = _measure_move(evidence.solution, likeliest.solution) if likeliest.free <= STATIC else 0.0
-    return ranked, moved
+    size, before = _measure_left(evidence, evidence.solution), deviance(evidence.solution)
+    best: dict[str, tuple[Tried, Cause]] = {}
+    for one in found:
+        left = _measure_left(evidence, one.solution)
+        gain = 0.5 * (before - deviance(one.solution)) - penalise(one.free, rows, one.choices)
+        # Residuals below those of the best sensors are no evidence of anything.
+        better = np.log(max(size, _BEST) / max(left, _BEST))
+        gain = min(gain, _LAW * float(better) - penalise(one.free, _LAW, one.choices)) - np.log(_MISTAKES)
+        tried = Tried(Mistake("", one.words, _as_clause(one.cure)), gain, left)
+        if one.words not in best or gain > best[one.words][0].evidence:
+            best[one.words] = (tried, one)
+    causes = Causes.of([tried for tried, _ in best.values()], 0.0, size, EXPERIENCE)
+    likely = None if causes.diagnosis.likely is None else best[causes.diagnosis.likely.mistake.cause][1]
+    if likely is None or likely.free > STATIC:
+        return causes
+    return causes._replace(moved=_measure_move(evidence.solution, likely.solution))
+
+
+def _as_clause(sentence: str) -> str:
+    return sentence[0].lower() + sentence[1:].removesuffix(".")
+
+
+def _measure_left(evidence: Evidence, solution: Solution) -> float:
+    """Return the share of the spread of forces and torques that a solution leaves, beside white noise.
+
+    A slope of each set is the offset's drift. Without times nothing tells noise from all else within a set,
+    so that only what sets disagree on counts.
+    """
+    to_wrench, timed = np.linalg.pinv(solution.A).T, all(one.time is not None for one in evidence.sets)
+    left, spread, samples = np.zeros(AXES), np.zeros(AXES), 0.0
+    for part, B in zip(solution.problem.sets, solution.predicted, strict=True):
+        weight, u, read = np.split(part.source.columns, [1, 1 + part.source.inputs], axis=1)
+        ramp = np.linspace(-1.0, 1.0, part.rows)[:, None] * weight if timed else weight[:, :0]
+        basis, _ = orthonormal(np.hstack([weight, ramp]))
+        rest = (read - u @ B.T) @ to_wrench
+        rest = rest - basis @ (basis.T @ rest)
+        left += np.sum(rest**2, axis=0)
+        left -= np.sum(np.diff(rest, axis=0) ** 2, axis=0) / 2.0 if timed else 0.0
+        level = (read - weight @ (weight.T @ read) / np.sum(weight**2)) @ to_wrench
+        spread = np.maximum(spread, np.sum(level**2, axis=0) / np.sum(weight**2))
+        samples += float(np.sum(weight**2))
+    if not timed:
+        left -= sum(np.sum((part.residual @ to_wrench) ** 2, axis=0) for part in evidence.problem.sets)
+    share = np.sum(left.reshape(2, 3), axis=1) / np.maximum(np.sum(spread.reshape(2, 3), axis=1), _TINY)
+    return float(np.sqrt(np.mean(np.maximum(share, 0.0)) / samples))
 
 
 def _measure_move(one: Solution, other: Solution) -> float:
@@ -160,38 +221,26 @@ def _measure_move(one: Solution, other: Solution) -> float:
     return float(np.linalg.norm(apart) / np.sqrt(AXES))
 
 
-def penalise(free: int, rows: int, choices: int) -> float:
+def penalise(free: int, rows: float, choices: int) -> float:
     """Return the nats that the best of some alternatives, with free unknowns, gains by chance."""
     return float(0.5 * free * np.log(rows) + np.log(choices))
 
 
-def rank(tried: Sequence[tuple[str, str, float]]) -> list[Ranked]:
-    """Return causes, (words, cure, log odds), likelier than the first, which is none; the likeliest first."""
-    odds = np.array([one[2] for one in tried])
-    if not np.isfinite(np.max(odds)):
-        return []
-    shares = np.exp(odds - np.max(odds))
-    shares /= np.sum(shares)
-    order = [i for i in np.argsort(-odds) if odds[i] > odds[0]]
-    return [Ranked(tried[i][0], tried[i][1], float(shares[i]), float(odds[i] - odds[0])) for i in order]
-
-
-def tell_causes(symptom: Finding, found: Sequence[Ranked], instead: str = "") -> Finding:
-    """Add the likeliest causes, if any, to a symptom; the cure ``instead`` if that is not it."""
-    if not found:
+def tell_causes(symptom: Finding, causes: Causes, instead: str = "") -> Finding:
+    """Add the likeliest cause to a symptom, or that none is known; the cure ``instead`` if that is not it."""
+    diagnosis, closest = causes.diagnosis, causes.closest
+    if diagnosis.none > LIKELY or not diagnosis.causes:
         return symptom
-    shares: dict[str, float] = {}
-    for one in found:
-        shares[one.words] = shares.get(one.words, 0.0) + one.share
-    likeliest = sorted(shares, key=lambda words: -shares[words])
-    named = [f"{words} ({_format_percent(shares[words])})" for words in likeliest[:2]]
-    cure = next(one.cure for one in found if one.words == likeliest[0])
-    cure += f" If that is not it: {instead}" if instead else ""
-    return symptom.with_cause(f"Likeliest: {'; then '.join(named)}.", cure)
-
-
-def _format_percent(share: float) -> str:
-    return "> 99 %" if share > 0.99 else "< 1 %" if share < 0.01 else f"{share:.0%}".replace("%", " %")
+    if diagnosis.likely:
+        cure = f"{diagnosis.cure} If that is not it: {instead}" if instead else diagnosis.cure
+        return symptom.with_cause(diagnosis.sentence(), cure)
+    if closest is None:
+        return symptom.with_cause(diagnosis.sentence(), symptom.cure)
+    words = (
+        f"{diagnosis.sentence()} The closest of them: {closest.mistake.cause}, which leaves "
+        f"{closest.size:.2g} of the readings' spread."
+    )
+    return symptom.with_cause(words, f"{symptom.cure} Or {closest.mistake.cure}.".lstrip())
 
 
 # Events within a set: signals that act on its readings.
@@ -307,7 +356,7 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
     largest = np.max([np.max(np.abs(load), axis=0) for load in loads], axis=0)
     shares = [load / np.where(largest > 0.0, largest, 1.0) for load in loads]
     cubes = evidence.at_rows([np.concatenate([x**2, x**3], axis=1) for x in shares])
-    postures = [np.column_stack([g, g2, (g / GRAVITY) ** 3]) for g, g2 in zip(gravity, squares, strict=True)]
+    postures = [np.column_stack([g, (g / GRAVITY) ** 3]) for g in gravity]
     against = evidence.at_rows([np.sign(np.gradient(u[:, DIRECT], axis=0)) for u in every])
     bent = "the limb bends as it turns, or the sensor is not linear"
     pulls, loose = (

@@ -170,9 +170,7 @@ def _check_idle(sets: Sequence[InSituSet], factory: NDArray[np.float64] | None) 
             "robot's controller), they are in axes that do not turn with the sensor (a robot's base axes), "
             "or gravity is not of this recording."
         )
-        cure = (
-            "Log the sensor's own readings in the sensor's axes, with no payload set, and gravity in these axes."
-        )
+        cure = "Log the sensor's own readings in the sensor's axes, with no payload set, and gravity in these axes."
         yield Finding("idle channels", reason, cure, float(np.max(follows)), limit)
         return
     for channel in idle:

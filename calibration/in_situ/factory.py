@@ -7,8 +7,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import skew
+from surefoot.calibration.diagnosis import Experience, Mistake, Tried
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.causes import penalise, rank, tell_causes
+from surefoot.calibration.in_situ.causes import Causes, penalise, tell_causes
 from surefoot.calibration.in_situ.data import Matrix, Task, Vector
 from surefoot.calibration.in_situ.maker import log_evidence, log_prior
 from surefoot.calibration.in_situ.model import AXES, DIRECT, LEAST_LEVER, MASS, MOMENT, STATIC
@@ -22,12 +23,17 @@ _TRIED = 4  # ways of each kind, those that miss least, that are fitted
 _COARSE = (0.2, 0.05, 0.01, 0.002)
 """Sizes of a maker's errors by which matrices are compared, as shares of full scale."""
 
+EXPERIENCE = Experience(unknown=0.1, mimicked=0.1, size=0.03, spread=1.2)
+"""Matrices miss 1 to 10 % of the load on sensors that have aged; one read rightly misses no more."""
+
 _SMALL_TURN = np.radians(0.5)  # rotation in rad below which no mounting is blamed: it moves loads by 1 %
-_IN_PLANE = 1e-3  # share of the second direction below which gravity stayed in a plane, which has no mirror image
+_IN_PLANE = (
+    1e-3  # share of the second direction below which gravity stayed in a plane, which has no mirror image
+)
 
 _POUND = 0.45359237  # in kg
 
-_CURE = "Correct that, or compare the matrix with the maker's sheet, its signs and exponents first."
+_CURE = "correct that, or compare the matrix with the maker's sheet, its signs and exponents first"
 
 
 def check_factory(task: Task, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
@@ -65,7 +71,7 @@ def check_factory(task: Task, problem: Problem, solution: Solution, determined: 
     if not limb_known:
         start[: problem.parameters] = problem.limb
     rows = sum(part.rows for part in problem.sets)
-    tried = [("", "", _evidence_of(factory, problem, solution.rotation, start))]
+    before, tried = _evidence_of(factory, problem, solution.rotation, start), list[Tried]()
     ways = [] if turn is None else [(3, turned)]
     if now >= limits.FACTORY_MISSES:
         ways.append((0, list(_other_readings(factory))))
@@ -76,17 +82,16 @@ def check_factory(task: Task, problem: Problem, solution: Solution, determined: 
         scored = sorted(((miss(matrix), words, matrix) for words, matrix in others), key=lambda way: way[0])
         for left, words, matrix in scored[:_TRIED]:
             if left < min(limits.READ_BETTER * now, 1.0):
-                odds = _evidence_of(matrix, problem, solution.rotation, start)
+                evidence = _evidence_of(matrix, problem, solution.rotation, start)
                 cure = _tell_rotation(turn) if matrix is turned[0][1] and turn is not None else _CURE
-                tried.append(
-                    (words.format(owner=task.owner), cure, odds - penalise(free, rows, len(others)))
-                )
-    ranked = rank(tried)
-    if not ranked or ranked[0].gain < limits.CLEARER:
+                mistake = Mistake("", words.format(owner=task.owner), cure)
+                tried.append(Tried(mistake, evidence - penalise(free, rows, len(others)), left))
+    if not tried or max(one.evidence for one in tried) < before + limits.CLEARER:
         return []
     at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
     finding = Finding("factory matrix", f"The {task.owner} matrix {at_odds}.", "", now, limits.MOVED)
-    return [replace(tell_causes(finding, ranked), refuses=now > limits.MOVED)]
+    causes = Causes.of(tried, before, now, EXPERIENCE)
+    return [replace(tell_causes(finding, causes), refuses=now > limits.MOVED)]
 
 
 def _find_turn(measured: Matrix, expected: Matrix | None, gravity: Matrix) -> Rotation | None:
@@ -121,8 +126,8 @@ def _tell_rotation(turn: Rotation) -> str:
     """Return advice that contains the rotation of gravity to the sensor's axes."""
     rows = ", ".join(f"[{', '.join(f'{value:.4f}' for value in row)}]" for row in turn.inv().as_matrix())
     return (
-        f"Give gravity in the sensor's axes: R_sensor_accelerometer = [{rows}], or estimate_rotation to fit "
-        "it. Places of masses must be in the sensor's axes as well."
+        f"give gravity in the sensor's axes: R_sensor_accelerometer = [{rows}], or estimate_rotation to fit "
+        "it. Places of masses must be in the sensor's axes as well"
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.calibration.arrays import in_a_row
 from surefoot.calibration.in_situ.data import Matrix
@@ -50,7 +50,7 @@ class ErrorColumns(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """The rigid body beyond the sensor, without added masses.
+    """The rigid body beyond the sensor, such as a leg or a tool, without added masses.
 
     Attributes:
         mass: m in kg.
@@ -72,6 +72,30 @@ class Limb:
     def parameters(self) -> NDArray[np.float64]:
         """Inertial parameters phi: (m, m c) and, if it is known, I, shape (4,) or (10,)."""
         return limb_parameters(self.mass, self.mass_com, self.inertia)
+
+    def weight(self, gravity: ArrayLike) -> NDArray[np.float64]:
+        """Return the wrench by which the limb at rest loads the sensor, (m g, m c x g), shape (..., 6).
+
+        ``gravity`` is in the sensor's frame in m/s^2 and points down, shape (..., 3).
+        """
+        g = np.asarray(gravity, dtype=np.float64)
+        return np.concatenate([self.mass * g, np.cross(self.mass_com, g)], axis=-1)
+
+    def compensate(self, wrench: ArrayLike, gravity: ArrayLike) -> NDArray[np.float64]:
+        """Return wrenches without the limb's own weight: what touches the limb, as the sensor feels it.
+
+        For single readings of a running stream or many at once. The limb must be at rest or move slowly.
+
+        Args:
+            wrench: Of the limb on the robot, such as by :meth:`InSituFit.wrench`, in N and N m, shape (..., 6).
+            gravity: In the sensor's frame in m/s^2, pointing down, shape (..., 3).
+
+        >>> gripper = Limb(mass=1.2, mass_com=1.2 * np.array([0.0, 0.0, 0.05]))
+        >>> level = np.array([0.0, 9.81, 0.0])
+        >>> gripper.compensate(gripper.weight(level) + [0.0, 0.0, 5.0, 0.0, 0.0, 0.0], level)
+        array([0., 0., 5., 0., 0., 0.])
+        """
+        return np.asarray(np.asarray(wrench, dtype=np.float64) - self.weight(gravity))
 
 
 def _name(in_file: str) -> dict[str, str]:

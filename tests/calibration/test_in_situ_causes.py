@@ -181,14 +181,14 @@ def rows_of(table):
 def test_the_true_cause_is_named_first(spoil, cause, cure):
     """Without what follows from it, such as masses that a leap contradicts."""
     first, *others = calibrate_in_situ(spoil(leg_sets()), refuse=False).refusals
-    assert f"Likeliest: {cause}" in first.reason
+    assert f"The likeliest cause: {cause}" in first.reason
     assert cure in first.cure
     assert not any("The added masses contradict" in one.reason for one in others)
 
 
 @pytest.mark.parametrize(("spoil", "cause", "truth"), rows_of(DELAYS))
 def test_a_delay_is_named_first_and_found(spoil, cause, truth):
-    with pytest.raises(CalibrationRefused, match=f"Likeliest: the [^(]*{cause}") as raised:
+    with pytest.raises(CalibrationRefused, match=f"The likeliest cause: the [^(]*{cause}") as raised:
         calibrate_in_situ(spoil(leg_sets()))
     assert find_number(cause, raised.value) == pytest.approx(truth, rel=0.02)
     assert "Stamp both by one clock" in raised.value.cure
@@ -198,7 +198,7 @@ def test_a_delay_is_named_first_and_found(spoil, cause, truth):
 def test_a_zero_that_follows_is_named_first_and_found():
     """The fit takes such a zero for an IMU that is 0.08 s late as well; the time is 5 % longer for that."""
     cause = "takes a zero off that follows the readings within (.*) s"
-    with pytest.raises(CalibrationRefused, match=f"Likeliest: the driver {cause}") as raised:
+    with pytest.raises(CalibrationRefused, match=f"The likeliest cause: the driver {cause}") as raised:
         calibrate_in_situ(each(lambda raw, *_: raw - low_pass(raw, 12.0))(leg_sets()))
     assert find_number(cause, raised.value) == pytest.approx(12.0, rel=0.1)
     assert "no automatic zero" in raised.value.cure
@@ -223,7 +223,7 @@ def test_the_sign_of_all_places_is_told_by_what_knows_torques(signs, known, said
 
 
 def find_number(words, error):
-    return float(re.search(words, re.search(r"Likeliest: (.*?) \(", str(error))[1])[1])
+    return float(re.search(words, re.search(r"The likeliest cause: (.*?) \(", str(error))[1])[1])
 
 
 LEVERS = np.repeat([1.0, 0.15], 3)
@@ -233,7 +233,7 @@ LEVERS = np.repeat([1.0, 0.15], 3)
 def test_masses_that_did_not_hang_there_are_no_matrix_in_other_units():
     rng = np.random.default_rng(4)
     aged = (np.eye(6) + 0.15 * rng.standard_normal((6, 6)) * np.outer(LEVERS, 1.0 / LEVERS)) @ MATRIX
-    with pytest.raises(CalibrationRefused, match="Likeliest: what was added in 'data set 1' and"):
+    with pytest.raises(CalibrationRefused, match="The likeliest cause: what was added in 'data set 1' and"):
         calibrate_in_situ(exchange(leg_sets()), factory_matrix=aged)
 
 
@@ -247,7 +247,7 @@ def test_a_turned_imu_that_moves_is_named(slower):
     if slower > 1.0:
         turned = [replace(one, angular_velocity=None, angular_acceleration=None) for one in turned]
     words = "the IMU is turned by (.*) degrees"
-    with pytest.raises(CalibrationRefused, match=f"Likeliest: {words}") as raised:
+    with pytest.raises(CalibrationRefused, match=f"The likeliest cause: {words}") as raised:
         calibrate_in_situ(turned)
     # Whole degrees are named. Forces of the slow turning, which nobody gave, move the estimate by 0.4.
     truth = np.degrees(Rotation.from_matrix(R).magnitude())  # 10.2
@@ -257,15 +257,15 @@ def test_a_turned_imu_that_moves_is_named(slower):
 def test_a_channel_that_follows_from_others_hides_no_cause():
     sums = [(one, one.raw[:, 0] + one.raw[:, 1]) for one in leap(leg_sets())]
     wide = [replace(one, raw=np.column_stack([one.raw, both])) for one, both in sums]
-    with pytest.raises(CalibrationRefused, match="Likeliest: the zero of 'data set 2' leaps at 35"):
+    with pytest.raises(CalibrationRefused, match="The likeliest cause: the zero of 'data set 2' leaps at 35"):
         calibrate_in_situ(wide)
 
 
 def test_a_log_without_noise_names_its_cause():
     sets, _ = noisy_sets("leg", np.random.default_rng(0), noise=0.0)
-    with pytest.raises(CalibrationRefused, match="Likeliest: the zero of 'data set 2' leaps at 35"):
+    with pytest.raises(CalibrationRefused, match="The likeliest cause: the zero of 'data set 2' leaps at 35"):
         calibrate_in_situ(leap(sets))
-    with pytest.raises(CalibrationRefused, match=r"Likeliest: the added mass of 'data set 3' is 0\.703 kg"):
+    with pytest.raises(CalibrationRefused, match=r"The likeliest cause: the added mass of 'data set 3' is 0\.703 kg"):
         calibrate_in_situ([*sets[:2], replace(sets[2], added_mass=0.62), sets[3]])
 
 

@@ -184,7 +184,7 @@ def test_a_leap_of_a_zero_that_looks_like_a_drift_is_named():
     raw = sets[0].raw.copy()
     raw[600:] += np.linalg.inv(SENSORS["leg"][0]) @ [9.0, 6.0, 10.5, 0.7, 1.0, 0.3]
     spoilt = [replace(sets[0], raw=raw, name="first"), *sets[1:]]
-    said = r"drifts.*Likeliest: the zero of 'first' leaps at"
+    said = r"drifts.*The likeliest cause: the zero of 'first' leaps at"
     with pytest.raises(CalibrationRefused, match=said) as refused:
         calibrate_in_situ(spoilt, options=InSituOptions(robust=False))
     assert refused.value.cure.startswith("Cut the set there into two")

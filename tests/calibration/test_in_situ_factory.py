@@ -32,7 +32,7 @@ TRANSFORMS = {
     ],
 )
 def test_a_factory_matrix_that_is_read_wrongly_is_named(change, words):
-    with pytest.raises(CalibrationRefused, match=f"Likeliest: {words}"):
+    with pytest.raises(CalibrationRefused, match=f"The likeliest cause: {words}"):
         calibrate_in_situ(leg_sets(), factory_matrix=change(MATRIX))
 
 
@@ -56,7 +56,7 @@ def test_units_and_signs_of_masses_contradict_a_factory_matrix(mass, place, word
     sets = [
         replace(one, added_mass=mass * one.added_mass, added_com=place * one.added_com) for one in leg_sets()
     ]
-    with pytest.raises(CalibrationRefused, match=f"Likeliest: {words}"):
+    with pytest.raises(CalibrationRefused, match=f"The likeliest cause: {words}"):
         calibrate_in_situ(sets, factory_matrix=MATRIX)
 
 
@@ -75,7 +75,7 @@ def test_one_corrupt_entry_of_the_factory_matrix_is_named(row, column, factor, s
     corrupt = MATRIX.copy()
     corrupt[row, column] *= factor
     message = re.escape(
-        f"Likeliest: entry [{row}, {column}] of the factory's matrix, {corrupt[row, column]:.4g}, is "
+        f"The likeliest cause: entry [{row}, {column}] of the factory's matrix, {corrupt[row, column]:.4g}, is "
     )
     with pytest.raises(CalibrationRefused, match=message):
         calibrate_in_situ(leg_sets()[:sets], factory_matrix=corrupt, **given)
@@ -99,7 +99,7 @@ def test_planar_motion_is_a_warning_beside_a_factory_matrix():
 
 def test_gravity_of_the_wrong_sign_contradicts_a_factory_matrix():
     up = [replace(one, gravity=-one.gravity) for one in leg_sets()]
-    with pytest.raises(CalibrationRefused, match="Likeliest: the sign of gravity or of the factory"):
+    with pytest.raises(CalibrationRefused, match="The likeliest cause: the sign of gravity or of the factory"):
         calibrate_in_situ(up[:1], factory_matrix=MATRIX, limb=LIMB, options=FREE)
 
 
@@ -119,5 +119,5 @@ def test_a_factory_matrix_that_has_aged_is_no_other_unit(aged):
     ("aged", "unit"), [pytest.param(0.54, "masses are in lb", marks=pytest.mark.slow), (1.9, "converted")]
 )
 def test_a_factory_matrix_whose_scale_is_clearly_that_of_another_unit_is_refused(aged, unit):
-    with pytest.raises(CalibrationRefused, match=f"Likeliest: .*{unit}"):
+    with pytest.raises(CalibrationRefused, match=f"The likeliest cause: .*{unit}"):
         calibrate_in_situ(leg_sets(), factory_matrix=aged * MATRIX)

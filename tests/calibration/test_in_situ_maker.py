@@ -134,7 +134,7 @@ def test_what_becomes_of_the_matrix_has_three_words(given, said):
 def test_a_mirrored_axis_is_named(axis):
     sets, _ = driver_sets(np.random.default_rng(87), 1, 0.0)
     mirror = np.where(np.isin(np.arange(6), (axis, axis + 3)), -1.0, 1.0)
-    said = f"Likeliest: axis {'xyz'[axis]} of the sensor has the other sign, force and torque"
+    said = f"The likeliest cause: axis {'xyz'[axis]} of the sensor has the other sign, force and torque"
     with pytest.raises(CalibrationRefused, match=said):
         calibrate_in_situ([replace(one, raw=one.raw * mirror) for one in sets], factory_matrix=np.eye(6))
 

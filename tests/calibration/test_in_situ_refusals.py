@@ -80,11 +80,11 @@ REFUSALS = {
     "a limb that bends": (bending, "of the readings' spread goes with gravity's squares: the limb bends"),
     "a mass that is not as given": (
         heavier,
-        "Likeliest: the added mass of 'data set 3' is 0.703 kg, and 0.620 kg was given (> 99 %)",
+        "The likeliest cause: the added mass of 'data set 3' is 0.703 kg, and 0.620 kg was given (> 99 %)",
     ),
     "a place that is not as given": (
         misplaced,
-        "Likeliest: the added mass of 'data set 4' hangs at (0.259, 0.025, 0.270) m, and (0.259, 0.065",
+        "The likeliest cause: the added mass of 'data set 4' hangs at (0.259, 0.025, 0.270) m, and (0.259, 0.065",
     ),
     "a dead channel": (
         read_at(1, 3, lambda x: 12.0 + 0.0 * x),
@@ -320,7 +320,7 @@ def test_the_likeliest_cause_stays_with_a_fit_past_a_refusal():
     fit = calibrate_in_situ(bumped(leg_sets()), accept="the bump was left out")
     said = fit.refusals[0].reason
     assert "'data set 1': 10% of the samples disagree with all others, most of them between 20." in said
-    assert "Likeliest: something touched the limb in 'data set 1'" in said
+    assert "The likeliest cause: something touched the limb in 'data set 1'" in said
     assert fit.limb.mass == pytest.approx(MASS, rel=0.01)
 
 

@@ -108,7 +108,9 @@ def _reject(u: Matrix, raw: Matrix, whole: NDArray[np.bool_]) -> NDArray[np.bool
     u = u[:, varies]
     standard = (u - u[whole].mean(axis=0)) / u[whole].std(axis=0)
     # Gravity that turns along a line or in a plane leaves columns that depend on each other.
-    columns, _ = orthonormal(np.column_stack([np.ones(len(u)), span, span**2, standard])[whole], SPREAD_ROUNDING)
+    columns, _ = orthonormal(
+        np.column_stack([np.ones(len(u)), span, span**2, standard])[whole], SPREAD_ROUNDING
+    )
     if len(columns) > 2 * columns.shape[1]:
         rejected[whole] = _outliers(columns, raw[whole])
     return rejected
