@@ -166,11 +166,11 @@ def _check_idle(sets: Sequence[InSituSet], factory: NDArray[np.float64] | None) 
             if len(forces) and np.all(forces < limit):
                 what = "The forces do not follow gravity"
         reason = (
-            f"{what}. Likeliest: the readings are compensated already (a payload is set in the driver or the "
-            "robot's controller), they are in axes that do not turn with the sensor (a robot's base axes), "
-            "or gravity is not of this recording."
+            f"{what}. The likeliest cause: the readings are compensated already (a payload is set in the "
+            "driver or the robot's controller), they are in axes that do not turn with the sensor (a robot's "
+            "base axes), or gravity is not of this recording."
         )
-        cure = "Log the sensor's own readings in the sensor's axes, with no payload set, and gravity in these axes."
+        cure = "Log the sensor's own readings in its own axes, with no payload set, and gravity likewise."
         yield Finding("idle channels", reason, cure, float(np.max(follows)), limit)
         return
     for channel in idle:

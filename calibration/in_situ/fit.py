@@ -87,7 +87,7 @@ class Limb:
         For single readings of a running stream or many at once. The limb must be at rest or move slowly.
 
         Args:
-            wrench: Of the limb on the robot, such as by :meth:`InSituFit.wrench`, in N and N m, shape (..., 6).
+            wrench: Of the limb on the robot in N and N m, as by :meth:`InSituFit.wrench`, shape (..., 6).
             gravity: In the sensor's frame in m/s^2, pointing down, shape (..., 3).
 
         >>> gripper = Limb(mass=1.2, mass_com=1.2 * np.array([0.0, 0.0, 0.05]))

@@ -79,7 +79,7 @@ class Problem:
     limb: Vector  # expected inertial parameters, shape (p,); zero where nothing is known
     limb_root: Matrix  # rows that weigh phi - limb, shape (q, p)
     misfit: Vector | None = None
-    """Variances of readings that the maker's matrix leaves with the likeliest limb, (k,); None without one."""
+    """Variances of readings that the maker's matrix and its limb leave, shape (k,); None without one."""
     gains: int = 0
     """Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0."""
     law: Law = Law.LOOPS  # of the hysteresis
