@@ -82,6 +82,11 @@ class Evidence:
     response: Matrix | None = None  # of the maker's matrix, in counts per N and N m, shape (k, 6)
 
     @property
+    def timed(self) -> bool:
+        """Whether all sets have times, without which samples have no order."""
+        return all(one.time is not None for one in self.sets)
+
+    @property
     def problem(self) -> Problem:
         """That without any cause."""
         return self.solution.problem
@@ -193,7 +198,7 @@ def _measure_left(evidence: Evidence, solution: Solution) -> float:
     A slope of each set is the offset's drift. Without times nothing tells noise from all else within a set,
     so that only what sets disagree on counts.
     """
-    to_wrench, timed = np.linalg.pinv(solution.A).T, all(one.time is not None for one in evidence.sets)
+    to_wrench, timed = np.linalg.pinv(solution.A).T, evidence.timed
     left, spread, samples = np.zeros(AXES), np.zeros(AXES), 0.0
     for part, B in zip(solution.problem.sets, solution.predicted, strict=True):
         weight, u, read = np.split(part.source.columns, [1, 1 + part.source.inputs], axis=1)
@@ -273,7 +278,9 @@ _EVENTS = (
 
 
 def _try_events(evidence: Evidence) -> Iterator[Cause]:
-    """Yield the likeliest leap of a zero, touch, and change of what hangs there."""
+    """Yield the likeliest leap of a zero, touch, and change of what hangs there, in sets with times."""
+    if not evidence.timed:
+        return
     parts, channels = evidence.problem.sets, len(evidence.problem.whitening)
     for words, cure, ends, loads in _EVENTS:
         acts = [np.ones((part.rows, 1)) for part in parts]
@@ -357,7 +364,6 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
     shares = [load / np.where(largest > 0.0, largest, 1.0) for load in loads]
     cubes = evidence.at_rows([np.concatenate([x**2, x**3], axis=1) for x in shares])
     postures = [np.column_stack([g, (g / GRAVITY) ** 3]) for g in gravity]
-    against = evidence.at_rows([np.sign(np.gradient(u[:, DIRECT], axis=0)) for u in every])
     bent = "the limb bends as it turns, or the sensor is not linear"
     pulls, loose = (
         "something pulls at the limb as it turns, such as a cable",
@@ -368,10 +374,12 @@ def _try_bending(evidence: Evidence) -> Iterator[Cause]:
         (bent, BENT_CURE, squares, 0, 2),
         (bent, BENT_CURE, cubes, 0, 2),
         (pulls, loose, postures, STATIC, 2),
-        (pulls, loose, against, 0, 2),
         (stops, _TOUCHING, _find_stop(problem), -3, 1),
     ):
         yield evidence.beside(words, cure, columns, columns[0].shape[1] * channels - known, choices)
+    if evidence.timed:
+        against = evidence.at_rows([np.sign(np.gradient(u[:, DIRECT], axis=0)) for u in every])
+        yield evidence.beside(pulls, loose, against, against[0].shape[1] * channels, 2)
     moved = [] if problem.moving else list(map(_motion_of, evidence.sets))
     if moved and all(len(one) for one in moved):
         cure = "Give the gyroscope's readings as well, or move slowly."
@@ -404,7 +412,7 @@ def _motion_of(data: InSituSet) -> Matrix:
 
 def _try_reading(evidence: Evidence) -> Iterator[Cause]:
     """Yield clocks that disagree, filters, and values that were held."""
-    if any(one.time is None for one in evidence.sets):
+    if not evidence.timed:
         return
     held = max(map(measure_repeated, evidence.sets)) > limits.REPEATED
     for words, cure, change, values in _READINGS:

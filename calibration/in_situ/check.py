@@ -380,12 +380,14 @@ def check_within(
 
 def _check_outliers(data: InSituSet, part: CompressedSet) -> list[Finding]:
     rejected, limit = part.source.rejected, limits.REJECTED_MOVING if data.moves else limits.REJECTED
+    if data.time is None:
+        limit = limits.REJECTED_POSES
     rejected = rejected & ~_settles(data, rejected)
     share = float(np.mean(rejected))
     if share <= limits.STRAY:
         return []
     beside = np.concatenate([[False], rejected, [False]])
-    singly = 2 * np.sum(rejected & ~beside[:-2] & ~beside[2:]) > np.sum(rejected)
+    singly = 2 * np.sum(rejected & ~beside[:-2] & ~beside[2:]) > np.sum(rejected) and data.time is not None
     if share <= limit:
         reason = (
             f"'{data.name}': {np.sum(rejected)} samples that disagree with all others were left out"

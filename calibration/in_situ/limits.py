@@ -50,10 +50,15 @@ REJECTED = Limit(
     0.05, "share of samples", "sound 0; a push of 3 s in a minute 0.05, a foot on the floor 0.13"
 )
 REJECTED_MOVING = Limit(0.1, "share of samples", "sound 0; a differentiated gyroscope's error has long tails")
+REJECTED_POSES = Limit(0.2, "share of samples", "chosen: without times each row stands for itself")
 STRAY = Limit(0.002, "share of samples", "sound 0; a warning alone")
 FEW_REJECTED = Limit(0.01, "share of samples", "chosen: beyond it causes are judged by all samples")
 RESIDUAL = Limit(0.03, "share of a set's spread", "sound 0.0036; a leg at 76 degrees a second 0.037")
-NOISY = Limit(0.3, "share of a set's spread", "chosen: white noise counts where rows have no order")
+NOISY = Limit(
+    0.12,
+    "share of a set's spread",
+    "without times: white noise of sound sets 0.05, a tool that was changed 0.22",
+)
 BENDING = Limit(0.003, "share of a set's spread", "sound 0.0015; a knee that gives by 0.005 rad/(N m) 0.004")
 BENDING_BESIDE = Limit(0.0105, "share of a set's spread", "hysteresis of sets too short to show it")
 BENDS_MOSTLY = Limit(0.7, "share of the residual", "sound 0.67; the knee 0.83 and more")

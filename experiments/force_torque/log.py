@@ -10,8 +10,9 @@ import numpy as np
 from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
 from surefoot.calibration.imu import AccelerometerModel, calibrate_accelerometer, gravity_from_imu
-from surefoot.calibration.in_situ import InSituFit, InSituSet, KnownLimb, calibrate_in_situ
-from surefoot.calibration.results import CalibrationRefused, FitResult
+from surefoot.calibration.in_situ import InSituFit, InSituSet, KnownLimb, calibrate_in_situ, limits
+from surefoot.calibration.in_situ.report import refuse_fit
+from surefoot.calibration.results import CalibrationRefused, Finding, FitResult, decide
 from surefoot.experiments.force_torque.checks import FEWEST, check_samples, contiguous
 from surefoot.experiments.force_torque.config import (
     Accelerometer,
@@ -25,6 +26,7 @@ from surefoot.experiments.logs.table import LogError
 
 SMOOTHED = 0.3  # time in s over which the gyroscope's rate of change is taken, if that is rows enough
 
+_FORCES = {"kgf": 9.80665, "lbf": 4.44822, "kN": 1e3}  # in N
 _NOTICED = 0.01  # share by which the limb may come out from its given mass without a notice
 
 _FEWEST_ROWS = 7
@@ -66,21 +68,38 @@ class InSituLog:
             refuse=False,
             accept=accept,
         )
-        return replace(fit, warnings=(*fit.warnings, *_doubt_of_weight(fit, mass)))
+        decision = decide(_check_weight(fit, mass), accept)
+        if decision.refused:
+            return refuse_fit(self.fitted, decision.refused)
+        if decision.passed:
+            fit = replace(fit, result=FitResult.ACCEPTED, accepted=accept)
+        return replace(
+            fit,
+            refusals=(*fit.refusals, *decision.passed),
+            warnings=(*fit.warnings, *decision.warnings),
+        )
 
 
-def _doubt_of_weight(fit: InSituFit, known: float | None) -> list[str]:
-    """Return a notice where the limb's fitted mass is not the known one in kg."""
+def _check_weight(fit: InSituFit, known: float | None) -> list[Finding]:
+    """Return a finding if the limb's fitted mass is not the known one in kg."""
     if known is None or fit.result is FitResult.REFUSED:
         return []
     off = fit.limb.mass / known - 1.0
     if abs(off) < max(_NOTICED, 3.0 * fit.limb_mass_std / known):
         return []
-    return [
-        f"The limb comes out at {fit.limb.mass:.4g} kg and weighs {known:.4g} kg ({100 * off:+.1f} %): so "
-        "far may all forces be off. See that the added masses, and limb.mass_kg, are what hung beyond the "
-        "sensor."
-    ]
+    reason = (
+        f"The limb comes out at {fit.limb.mass:.4g} kg, and limb.mass_kg is {known:.4g} kg ({100 * off:+.1f} "
+        "%): all forces may be off by as much."
+    )
+    apart = abs(float(np.log(fit.limb.mass / known))) if fit.limb.mass > 0.0 else np.inf
+    for unit, newtons in _FORCES.items():
+        if abs(known / newtons - fit.limb.mass) < limits.MASS * abs(fit.limb.mass):
+            reason += f" Forces in {unit} that are read as N are off by this factor."
+    cure = (
+        "Check the units of forces, and that limb.mass_kg and the added masses are what hung on the sensor."
+    )
+    refuses = apart > limits.FACTORY_APART
+    return [Finding("limb", reason, cure, apart, limits.FACTORY_APART, refuses)]
 
 
 def read_in_situ_log(

@@ -54,9 +54,7 @@ class Calibrated:
         """Share of each set's spread that leaves the three-space of Lemma 1, shape (J,)."""
         return np.array(
             [
-                _leave_three_space(data.raw)
-                if place is None
-                else self.fit.affine_residual[place]
+                _leave_three_space(data.raw) if place is None else self.fit.affine_residual[place]
                 for data, place in zip(self.sets, self.numbers, strict=True)
             ]
         )
