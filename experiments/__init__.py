@@ -2,8 +2,8 @@
 
 * :func:`read_log` and :func:`write_log` for logs of simulated and real robots (docs/log-format.md).
 * :func:`record_walk`, :func:`replay_logs` and :func:`score_forces`: a walk, the same stream through every
-  calibrator, and how far each is from the truth. :func:`~surefoot.experiments.episodes.run_plan` walks on
-  calibrated feet.
+  calibrator, and how far each is from the truth.
+* :func:`surefoot.evaluate`: any policy in any environment on true, drifting and calibrated feet.
 """
 
 from typing import TYPE_CHECKING

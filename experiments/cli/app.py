@@ -14,7 +14,7 @@ from surefoot.experiments.cli import calibrate, compare, controllers, view
 from surefoot.experiments.cli.console import INTERRUPTED
 from surefoot.names import page
 
-ORDER = ["demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate", "sweep", "replay"]
+ORDER = ["demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate"]
 
 
 class _InOrder(TyperGroup):
@@ -50,7 +50,7 @@ for look in (calibrate.check, calibrate.twin):
     app.command(epilog=f"Kinds of logs: {page('check')}")(look)
 app.command()(compare.demo)
 app.command()(view.view)
-for command in (controllers.train, controllers.evaluate, controllers.sweep, controllers.replay):
+for command in (controllers.train, controllers.evaluate):
     app.command()(command)
 
 

@@ -1,4 +1,4 @@
-"""``surefoot train``, ``evaluate``, ``sweep`` and ``replay``: controllers, and their feet."""
+"""``surefoot train`` and ``surefoot evaluate``: policies, and what their feet are worth to them."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -76,159 +76,127 @@ def _train(out: Path, options: Any, restart: bool) -> None:
 
 
 def evaluate(
-    ctx: typer.Context,
-    controllers: Annotated[Names, Argument(help=f"{CONTROLLERS}; the shipped policy by default.")] = None,
-    task: Annotated[str, Option(help="balance-hard, walk-hard, balance or walk.")] = "balance-hard",
+    env: Annotated[str | None, Argument(help="Id of an environment, or module:function.")] = None,
+    policies: Annotated[
+        Names, Argument(help=f"{CONTROLLERS}; a .zip of Stable-Baselines3; NAME=POLICY, again for more.")
+    ] = None,
     feed: Feeds = None,
     severity: Annotated[
-        Numbers, Option(help="How bad the sensors are; again for more. 1 by default.")
+        Numbers, Option(help="Factor of the sensors' errors; again for more; else 0.5, 1, 2 and 3.")
     ] = None,
-    seeds: Annotated[int, Option(help="Episodes of each.", min=1)] = 50,
-    first_seed: Annotated[int, Option(help="Seed of the first of them.", min=0)] = 20_000,
-    out: Annotated[Path | None, Option(help="Folder for page and results; else only a table.")] = None,
-    page_of: Annotated[Names, Option(help="Only a page of FILE or CONTROLLER=FILE; again for more.")] = None,
-    jobs: Jobs = 1,
+    fault: Annotated[
+        Names, Option(help="What breaks how likely, dies=0.02; or when; again for more.")
+    ] = None,
+    seeds: Annotated[int | None, Option(help="Episodes of each combination; else 50.", min=1)] = None,
+    first_seed: Annotated[int | None, Option(help="The first of the seeds; else 20000.", min=0)] = None,
+    cells: Annotated[str | None, Option(help="Preset of the sensors under the feet.")] = None,
+    soles: Annotated[bool, Option("--soles", help="Flat soles under feet without area.")] = False,
+    option: Annotated[Names, Option(help="Of the environment, NAME=VALUE; again for more.")] = None,
+    scenario: Annotated[
+        Names, Option(help="payload=1.5, slope=3, friction=0.3, soft=0.05, push=2 ...")
+    ] = None,
+    observe: Annotated[Names, Option(help="Parts that the policy sees, or module:function.")] = None,
+    wrap: Annotated[str | None, Option(help="Wrapper of the training, module:Class.")] = None,
+    statistics: Annotated[Path | None, Option(help="File of VecNormalize, a pickle.")] = None,
+    trusted: Annotated[bool, Option("--trusted", help="Trust makers of pickles: their code runs.")] = False,
+    settle: Annotated[float | None, Option(help="Time in s before the policy is asked.", min=0.0)] = None,
+    duration: Annotated[float | None, Option(help="Longest duration of an episode in s.", min=0.0)] = None,
+    metric: Annotated[Names, Option(help="Name in info whose mean becomes a column; again for more.")] = None,
+    config: Annotated[
+        Path | None, Option(help="TOML or JSON of all this; options replace its values.")
+    ] = None,
+    out: Annotated[Path, Option(help="Folder; one that was stopped goes on.")] = Path("out/evaluate"),
+    case: Annotated[int | None, Option(help="Only run this episode of the folder again.", min=0)] = None,
+    video: Annotated[Path | None, Option(help="Film that episode into this .mp4 as well.")] = None,
+    jobs: Jobs = 2,
+    backend: Annotated[str, Option(help="Of joblib: loky, dask or ray.")] = "loky",
+    address: Annotated[str | None, Option(help="Of the scheduler of dask.")] = None,
+    any_version: Annotated[bool, Option("--any-version", help="Go on with other versions' rows.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Score controllers on true, drifting and calibrated feet, on the same episodes."""
-    from surefoot.experiments.episodes.plan import evaluation_plan
-    from surefoot.experiments.episodes.run import run_plan, sort_episodes
+    """Evaluate policies on true, drifting and calibrated feet, on the same episodes; write a page."""
+    from surefoot.experiments.evaluate.command import Wanted, backend_of, read_config
 
-    if page_of:
-        if given_too := [name for name in ctx.params if _was_given(ctx, name)]:
-            what = given_too[0].replace("_", "-")
-            what = what if what == "controllers" else f"--{what}"
-            fail(f"--page-of runs nothing, and {what} says what to run: give one of the two.")
-        _page_of(page_of, out, as_json)
-        return
     given: dict[str, Any] = {
-        "controllers": tuple(controllers or ()),
-        "feeds": tuple(feed or ()),
-        "severities": tuple(severity or ()),
-    }
-    chosen = {name: value for name, value in given.items() if value}
-    with one_line_errors(out, "give another folder with --out, or make room."):
-        plan = evaluation_plan(seeds=seeds, first_seed=first_seed, task=task, **chosen)
-        results = run_plan(plan, out, jobs=jobs)
-        _report(sort_episodes(results.rows, chosen.get("controllers", ())), out, as_json)
-
-
-def _was_given(ctx: typer.Context, name: str) -> bool:
-    source = ctx.get_parameter_source(name)
-    return name not in ("page_of", "out", "as_json") and source is not None and source.name != "DEFAULT"
-
-
-def _page_of(named: list[str], out: Path | None, as_json: bool) -> None:
-    import pandas as pd
-
-    from surefoot.experiments.episodes.run import read_episodes
-
-    if out is None:
-        fail("--page-of needs a folder for the page; give one with --out.")
-    with one_line_errors(out):
-        # A path that holds a '=' is a path if it is there.
-        parts = [("", "", text) if Path(text).exists() else text.rpartition("=") for text in named]
-        frames = [read_episodes(Path(path), controller) for controller, _, path in parts]
-        _report(pd.concat(frames, ignore_index=True), out, as_json)
-
-
-def _report(frame: Any, out: Path | None, as_json: bool) -> None:
-    """Print the scores and, into a folder, write them and a page."""
-    from surefoot.experiments.episodes.page import check_episodes, write_evaluation
-    from surefoot.experiments.episodes.tables import score_table
-    from surefoot.experiments.study.progress import working
-
-    frame, failed = check_episodes(frame)
-    files: dict[str, Path] = {}
-    if out is not None:
-        with working("drawing the page"):
-            files["page"] = write_evaluation(frame, failed, out).page
-    title = f"{frame['scenario'].iloc[0]}: feet of different kinds"
-    show([score_table(frame, title=title)], files, as_json=as_json)
-
-
-def sweep(
-    plan: Annotated[Path | None, Argument(help="TOML of a sweep; options replace its values.")] = None,
-    controller: Annotated[Names, Option(help=f"{CONTROLLERS}; again for more.")] = None,
-    feed: Feeds = None,
-    scenario: Annotated[Names, Option(help="A scenario; again for more; else speed-0.04.")] = None,
-    severity: Annotated[
-        Numbers, Option(help="Factor of the cells' errors; again for more; else 1 and 3.")
-    ] = None,
-    seeds: Annotated[int | None, Option(help="Episodes of each combination; else 10.", min=1)] = None,
-    first_seed: Annotated[int | None, Option(help="The first of the seeds; else 0.", min=0)] = None,
-    duration: Annotated[float | None, Option(help="Longest duration of an episode in s.")] = None,
-    out: Annotated[Path, Option(help="Folder of the sweep; an interrupted one goes on.")] = Path("out/sweep"),
-    jobs: Annotated[int, Option(help="Episodes that are run at the same time here.", min=1)] = 2,
-    any_version: Annotated[bool, Option("--any-version", help="Go on with other versions' results.")] = False,
-    scenarios: Annotated[bool, Option("--scenarios", help="List the scenarios, and end.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Sweep controllers over feeds, scenarios, severities and seeds, and report."""
-    from surefoot.experiments.episodes.page import write_sweep
-    from surefoot.experiments.episodes.plan import plan_from_toml
-    from surefoot.experiments.episodes.run import run_plan
-    from surefoot.experiments.study.progress import working
-
-    if scenarios:
-        show([_scenario_table()], {}, as_json=as_json)
-        return
-    given: dict[str, Any] = {
-        "controllers": tuple(controller or ()),
-        "feeds": tuple(feed or ()),
-        "scenarios": tuple(scenario or ()),
-        "severities": tuple(severity or ()),
+        "env": env,
+        "policies": policies,
+        "feeds": feed,
+        "severities": severity,
+        "faults": fault,
         "seeds": seeds,
         "first_seed": first_seed,
+        "cells": cells,
+        "soles": soles or None,
+        "env_options": option,
+        "scenario": scenario,
+        "observe": observe,
+        "wrap": wrap,
+        "statistics": None if statistics is None else str(statistics),
+        "settle": settle,
         "duration": duration,
+        "metrics": metric,
     }
-    changes = {name: value for name, value in given.items() if value not in ((), None)}
+    if video is not None and (case is None or video.suffix != ".mp4"):
+        fail(f"--video films one episode into an .mp4: give --case and such a name, got '{video}'.")
     with one_line_errors(out, "what is finished is kept."):
-        chosen = plan_from_toml(plan, **changes)
-        results = run_plan(chosen, out, jobs=jobs, any_version=any_version)
-        with working("drawing the report"):
-            report = write_sweep(results)
+        named = {name: value for name, value in given.items() if value not in (None, [])}
+        wanted = Wanted.of({**read_config(config, out, case is not None and not named), **named})
+        if case is not None:
+            _repeat(wanted, out, case, video, trusted, as_json)
+            return
+        with backend_of(backend, address):
+            results = wanted.run(
+                out, jobs=jobs if backend == "loky" else None, trusted=trusted, any_version=any_version
+            )
+    _report(results, as_json)
+
+
+def _report(results: Any, as_json: bool) -> None:
+    from surefoot.experiments.evaluate.page import write_page
+    from surefoot.experiments.study.progress import working
+
+    failed = len(results.failed)
+    if failed == len(results.rows):
+        last = results.failed["error"].iloc[0].splitlines()[-1]
+        fail(f"all {failed} episodes failed, the first with '{last}'.", 1)
+    with working("drawing the page"):
+        report = write_page(results, results.folder)
     kept = len(results.rows) - results.computed
-    episodes = {"run": results.computed, "were there": kept, "failed": len(results.failed)}
-    said = f"{results.computed} episodes run, {kept} were there, {len(results.failed)} failed."
-    show(report.tables, {"report": report.page}, said=said, episodes=episodes, as_json=as_json)
-    if len(results.failed) == len(results.rows):
+    said = f"{results.answer}\n{results.computed} episodes run, {kept} were there, {failed} failed."
+    episodes = {"run": results.computed, "were there": kept, "failed": failed}
+    shown = [table for table in report.tables if table.name.startswith("scores")]
+    show(shown, {"page": report.page}, said=said, answer=results.answer, episodes=episodes, as_json=as_json)
+    if failed:
         raise typer.Exit(1)
 
 
-def replay(
-    results: Annotated[Path, Argument(help="Folder of a sweep or an evaluation, or its episodes.parquet.")],
-    case: Annotated[int, Option(help="Number of the episode.", min=0)],
-    video: Annotated[Path | None, Option(help="Film it into this .mp4 as well.")] = None,
-    as_json: Json = False,
-) -> None:
+def _repeat(wanted: Any, out: Path, case: int, video: Path | None, trusted: bool, as_json: bool) -> None:
     """Run one episode again, and say whether it comes out the same to the last digit."""
-    from surefoot.experiments.episodes.episode import OUTCOME
-    from surefoot.experiments.episodes.run import replay_episode
+    from surefoot.experiments.evaluate.command import film
+    from surefoot.experiments.evaluate.episode import OUTCOME
+    from surefoot.experiments.evaluate.grid import read_evaluation, repeat
     from surefoot.experiments.study.progress import working
     from surefoot.experiments.study.tables import Verdict, table_of
-    from surefoot.experiments.walks.video import film_episode
 
-    if video is not None and video.suffix != ".mp4":
-        fail(f"'{video}' must end in .mp4.")
-    with one_line_errors(), working(f"running case {case} again") as then:
-        replayed = replay_episode(results, case)
+    with working(f"running case {case} again") as then:
+        results = read_evaluation(wanted.plan(trusted=trusted), out)
+        repeated = repeat(results, case)
         then("filming it")
-        files = {} if video is None else {"film": film_episode(video, replayed.episode)}
+        files = {} if video is None else {"film": film(results, case, video)}
     columns: dict[str, Any] = {
         "outcome": lambda name: name,
-        "now": lambda name: _exact(replayed.now[name]),
-        "then": lambda name: _exact(replayed.then[name]),
-        "same": lambda name: Verdict.of(name not in replayed.different),
+        "now": lambda name: _exact(repeated.now[name]),
+        "then": lambda name: _exact(repeated.then[name]),
+        "same": lambda name: Verdict.of(name not in repeated.different),
     }
-    names = [name for name in (*OUTCOME, "error") if replayed.now[name] != "" or name in replayed.different]
-    said = "Different." if replayed.different else "Identical."
-    if replayed.other_versions:
-        said = f"Versions: {', '.join(replayed.other_versions)}\n{said}"
-    facts: Any = {"identical": not replayed.different, "versions": replayed.other_versions}
-    table = table_of("replay", "The episode, to the last digit", columns, names)
+    names = [name for name in (*OUTCOME, "error") if repeated.now[name] != "" or name in repeated.different]
+    said = "Different." if repeated.different else "Identical."
+    if repeated.other_versions:
+        said = f"Versions: {', '.join(repeated.other_versions)}\n{said}"
+    facts: Any = {"identical": not repeated.different, "versions": repeated.other_versions}
+    table = table_of("repeated", "The episode, to the last digit", columns, names)
     show([table], files, said=said, as_json=as_json, **facts)
-    if replayed.different:
+    if repeated.different:
         raise typer.Exit(1)
 
 
@@ -236,17 +204,3 @@ def _exact(value: Any) -> Any:
     from surefoot.experiments.study.tables import Valued
 
     return Valued.of(str(value), value)
-
-
-def _scenario_table() -> Any:
-    from surefoot.experiments.episodes.plan import find_scenario
-    from surefoot.experiments.study.tables import Table
-    from surefoot.experiments.walks.scenarios import SCENARIOS
-
-    rows = []
-    for name in SCENARIOS:
-        try:
-            rows.append((name, find_scenario(name).title))
-        except ValueError:
-            continue
-    return Table("scenarios", "Scenarios of a sweep", ("scenario", "what it is"), tuple(rows))

@@ -78,7 +78,6 @@ def write_card(out: Path) -> Path:
         most=most,
         figure=FIGURE,
         curve_file=CURVE,
-        evaluate_options="".join(f" {option}" for option in _options(asked)),
     )
     write_text(out / CARD, text)
     return out / CARD

@@ -14,7 +14,7 @@ given the environment's and returns the controller. One with a ``reset`` is rese
 """
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from hashlib import sha256
 from pathlib import Path
 from pkgutil import resolve_name
@@ -42,8 +42,7 @@ _FILES = (".npz", ".zip")  # a zip of Stable-Baselines3 is refused, with what to
 def load_controller(name: str, env: gym.Env[Any, Any], *, same_task: bool = False) -> Controller:
     """Return a controller, named as above, for an environment with all wrappers, or raise ValueError.
 
-    ``same_task`` refuses a policy that says it was made for another environment. An evaluation does; a sweep,
-    which puts a policy into circumstances that it was not made for, does not.
+    ``same_task`` refuses a policy that says it was made for another environment.
     """
     bare: Any = env.unwrapped
     if name == "zero":
@@ -79,7 +78,7 @@ def check_fits(policy: Any, env: gym.Env[Any, Any], name: str = "", *, same_task
     task, here = task_in(made_for), task_in(given)
     let_in = made_for == given or (task is not None and here is not None and here.easier == task.name)
     if same_task and isinstance(made_for, str) and given and not let_in:
-        way_out = "" if task is None else f"; evaluate it there, with --task {task.name}"
+        way_out = "" if task is None else "; evaluate it there"
         who = f"Policy '{name}'" if name else "The policy"
         raise ValueError(f"{who} was made for '{made_for}', and this is '{given}'{way_out}.")
     if hasattr(policy, "fits"):
@@ -107,33 +106,9 @@ def controller_hash(name: str, env_id: str = "") -> str:
     return sha256(content).hexdigest()[:16]
 
 
-def training_sensors(name: str) -> str:
-    """Return which of the sensors a policy was trained on; nothing if nobody wrote it down, or it was not."""
-    if name in _SHIPPED:
-        return _SHIPPED[name]
-    if not (name.endswith(_FILES) and Path(name).is_file()):
-        return ""
-    options = PolicyNetwork.load(name).notes.get("options", {})
-    return str(options.get("sensors", "")) if isinstance(options, Mapping) else ""
-
-
 def short_name(name: str) -> str:
     """Return the name of a controller where space is short: a file's without its folder."""
     return Path(name).stem if name.endswith(_FILES) else name
-
-
-def labels(controllers: Sequence[str]) -> dict[str, str]:
-    """Return a short name for each controller, no two of them alike.
-
-    >>> labels(["a/one.npz", "a/two.npz", "b/two.npz"])
-    {'a/one.npz': 'one', 'a/two.npz': 'a/two.npz', 'b/two.npz': 'b/two.npz'}
-    """
-    short = [short_name(name) for name in controllers]
-    found = {
-        name: brief if short.count(brief) == 1 else name
-        for name, brief in zip(controllers, short, strict=True)
-    }
-    return found if len(set(found.values())) == len(found) else {name: name for name in controllers}
 
 
 def _id_of(env: gym.Env[Any, Any]) -> str:

@@ -71,8 +71,8 @@ class Trainer:
         options, task = self.options, find_task(self.options.task)
 
         def make(severity: float) -> gym.Env[Any, Any]:
-            feed = "true" if options.sensors == "true" else "none"
-            env, _ = make_task(feed, severity=severity, task=task.name, **task.training)
+            feed = "true" if options.sensors == "true" else "raw"
+            env = make_task(feed, severity=severity, task=task.name, **task.training)
             return Monitor(PolicyView(env, task.name, reward_scale=REWARD_SCALE))
 
         hidden = [options.hidden] * 2

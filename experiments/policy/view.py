@@ -17,8 +17,8 @@ from surefoot.arrays import Floats
 from surefoot.controllers.policy import PolicyFileError, PolicyNetwork
 from surefoot.controllers.posture import PostureDrive, posture_matrix
 from surefoot.envs.robots.nao import motor_of_joint
+from surefoot.experiments.evaluate.feet import FedFeet, put_on
 from surefoot.experiments.policy.tasks import Task, find_task
-from surefoot.experiments.walks.walkers import FEEDS, TruthTap, check_feed, put_on_feet
 
 PARTS = ("state", "cop", "cop_valid")  # parts of an observation that a policy sees, in this order
 _LEGS = 12  # hinge joints of both legs, which come first
@@ -27,14 +27,10 @@ _JOINT_UNIT = 0.1  # unit in which a policy sees joint angles, in rad
 _COP_UNIT, _ERROR_UNIT = 0.03, 0.01  # m, of the CoP and of its difference to the commanded one
 
 
-def make_task(
-    feed: str, *, severity: float = 1.0, task: str = "balance", **env_options: Any
-) -> tuple[gym.Env[Any, Any], TruthTap]:
-    """Return the environment of a task on the feet of a feed, and the tap that sees the truth beneath."""
-    options, chosen = FEEDS[check_feed(feed)], find_task(task)
-    calibration = None if options is None else dict(options)
-    bare = gym.make(chosen.env_id, disable_env_checker=True, **env_options)
-    return put_on_feet(bare, calibration, sensors={"severity": severity, "fresh": True})
+def make_task(feed: str, *, severity: float = 1.0, task: str = "balance", **env_options: Any) -> FedFeet:
+    """Return the environment of a task on the feet of a feed; each reset draws fresh sensors."""
+    bare = gym.make(find_task(task).env_id, disable_env_checker=True, **env_options)
+    return put_on(bare, feed, severity, sensors={"fresh": True})
 
 
 def _input_matrix(state_layout: Mapping[str, slice], standing: Floats, task: Task) -> Floats:
@@ -157,7 +153,7 @@ def export_zip(zip_path: Path, path: Path, *, task: str = "balance", trusted: bo
         model = PPO.load(zip_path, device="cpu")
     except Exception as error:  # Whatever a damaged pickle raises.
         raise PolicyFileError(f"'{zip_path}' cannot be opened as a Stable-Baselines3 PPO: {error}") from error
-    env, _ = make_task("true", task=task)
+    env = make_task("true", task=task)
     try:
         network = network_of(
             model, PolicyView(env, task), {"from": zip_path.name, "task": find_task(task).env_id}

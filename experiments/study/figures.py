@@ -56,6 +56,7 @@ _LOOKS = {
     "true-map": Look("true map", "#7f7f7f", ":", ".", "true map"),
     "reference": Look("reference", "#882255", ":", "*", "reference"),
     "none": Look("raw (none)", "#D55E00", "-", "X", "raw"),
+    "raw": Look("raw", "#D55E00", "-", "X", "raw"),
     "weights": _BEFORE._replace(label="weights just before", short="weights"),
     "tare": Look("swing tare", "#999933", "--", "^", "tare"),
     "quasi-static": Look("quasi-static (Han)", "#CC79A7", "-", "s", "quasi-static"),

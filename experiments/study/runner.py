@@ -1,7 +1,7 @@
-"""Who does the work of a study, piece by piece, with a bar and a stopwatch: this process, or several of them.
+"""Runs the work of a study by joblib, in one process or several, with a bar and a stopwatch.
 
-If a process dies, the tasks that it may have died of are run again, one at a time. A task that kills its
-process again has the result :class:`Died`.
+``joblib.parallel_config`` chooses another backend, such as dask. If a process dies, the tasks that are left
+are run one at a time until the one is found that it died of: its result is :class:`Died`.
 """
 
 import os
@@ -10,14 +10,14 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
 
-from joblib.externals import loky
+import joblib
 from rich.progress import Progress
 
 import surefoot
@@ -25,53 +25,59 @@ from surefoot.experiments.study.progress import bars
 from surefoot.experiments.study.store import Case, Outcome, Store, StudyError, as_kept
 from surefoot.experiments.study.tables import plural
 
-IDLE_TIMEOUT = 20.0  # s after which an idle process leaves, also one whose master was killed
 Task = tuple[Callable[..., Any], tuple[Any, ...]]  # must survive pickling
-
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
 class Died:
-    """The result of a task that its process died of, twice; ``reason`` is the known cause."""
+    """The result of a task that its process died of; ``reason`` is the known cause."""
 
     reason: str
 
 
-def _results(tasks: Mapping[int, Task], jobs: int) -> Iterator[tuple[int, Any]]:
+def _results(tasks: Mapping[int, Task], jobs: int | None) -> Iterator[tuple[int, Any]]:
     """Yield the number and the result of each task, in any order; errors of a task are raised here."""
-    if jobs == 1:
-        yield from ((number, function(*arguments)) for number, (function, arguments) in tasks.items())
-        return
-    waiting, suspects = list(tasks)[::-1], list[int]()
-    under_way: dict[Future[Any], int] = {}
+    left = dict(tasks)
+    while left:
+        try:
+            for number, result in _parallel(list(left.items()), jobs):
+                del left[number]
+                yield number, result
+        except BrokenExecutor:
+            for number, task in list(left.items()):
+                result = _alone(number, task)
+                del left[number]
+                yield number, result
+                if isinstance(result, Died):
+                    break
+
+
+def _alone(number: int, task: Task) -> Any:
+    """Return the result of a task that has processes to itself."""
     try:
-        while waiting or suspects or under_way:
-            alone = bool(suspects) and not under_way
-            if alone:
-                waiting.append(suspects.pop())
-            while waiting and len(under_way) < (1 if alone else 0 if suspects else jobs):
-                number = waiting.pop()
-                function, arguments = tasks[number]
-                under_way[_executor(jobs).submit(function, *arguments)] = number
-            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
-                number, error = under_way.pop(future), future.exception()
-                if error is None:
-                    yield number, future.result()
-                elif not isinstance(error, BrokenExecutor):
-                    raise error
-                elif alone:
-                    yield number, Died(" ".join(f"{type(error).__name__}: {error}".split())[:400])
-                else:
-                    suspects.append(number)
-    except BaseException:
-        _executor(jobs).shutdown(kill_workers=True)
-        raise
+        ((_, result),) = _parallel([(number, task)], 2)
+    except BrokenExecutor as error:
+        return Died(" ".join(f"{type(error).__name__}: {error}".split())[:400])
+    return result
 
 
-def _executor(jobs: int) -> Any:
-    """Return the processes of this machine; those that broke are replaced."""
-    return loky.get_reusable_executor(max_workers=jobs, timeout=IDLE_TIMEOUT, env=_ONE_THREAD)
+def _parallel(tasks: Sequence[tuple[int, Task]], jobs: int | None) -> Iterator[tuple[int, Any]]:
+    """Run tasks by joblib; processes of this machine use one thread each, so that cores are not shared."""
+    chosen = (
+        nullcontext()
+        if jobs is None
+        else joblib.parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1)
+    )
+    with chosen:
+        parallel = joblib.Parallel(return_as="generator_unordered")
+    found: Iterator[tuple[int, Any]] = parallel(
+        joblib.delayed(_numbered)(number, function, arguments) for number, (function, arguments) in tasks
+    )
+    return found
+
+
+def _numbered(number: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
+    return number, function(*arguments)
 
 
 LONGEST_ERROR = 4000  # characters of a failed case's traceback that are kept, its end
@@ -82,7 +88,7 @@ Failed = Callable[[Case, str], Mapping[str, Any]]  # rows of a failed case, from
 class Runner:
     """Does the work of a study, shows it, and notes how long each stage took; :func:`runner` makes one."""
 
-    jobs: int
+    jobs: int | None  # processes; ``None`` for what ``joblib.parallel_config`` says
     progress: Progress
     seconds: dict[str, float]
 
@@ -152,9 +158,9 @@ class Runner:
 
 
 @contextmanager
-def runner(jobs: int, seconds: dict[str, float] | None = None) -> Iterator[Runner]:
+def runner(jobs: int | None, seconds: dict[str, float] | None = None) -> Iterator[Runner]:
     """Lend a runner of a study's stages, which notes seconds of each; one job works in this very process."""
-    if jobs < 1:
+    if jobs is not None and jobs < 1:
         raise ValueError(f"'jobs' must be at least 1, got {jobs}.")
     with bars("{task.fields[said]}") as progress, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from surefoot.calibration import METHODS
-from surefoot.experiments.episodes.figures import survival_curves
+from surefoot.experiments.evaluate.figures import survival_curves
 from surefoot.experiments.study.page import (
     Report,
     ReportFigure,
@@ -195,7 +195,7 @@ def _loop_section(results: WalkStudyResults, folder: Path) -> Section:
     drawn: tuple[ReportFigure, ...] = ()
     for speed, runs in results.loop.groupby("speed", sort=False):
         path = survival_curves(
-            folder / f"closed_loop_{speed:g}.svg".replace(".", "_", 1), runs.assign(controller="stabiliser")
+            folder / f"closed_loop_{speed:g}.svg".replace(".", "_", 1), runs.assign(policy="stabiliser")
         )
         drawn += _figure(path, f"Who falls when, {speed:g} m/s", "closed_loop")
     said = tuple(findings.loop_findings(results.loop))

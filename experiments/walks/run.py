@@ -9,15 +9,13 @@ from typing import Any
 
 import pandas as pd
 
-from surefoot.experiments.episodes.episode import TABLE
-from surefoot.experiments.episodes.plan import EpisodePlan, walk_episode
-from surefoot.experiments.episodes.run import case_of
 from surefoot.experiments.study.page import save_frames
 from surefoot.experiments.study.runner import Runner, runner
 from surefoot.experiments.study.sources import own_code
 from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Frame
 from surefoot.experiments.walks.gait_cycle import cycle_rows
+from surefoot.experiments.walks.loop import TABLE, Walk, loop_row
 from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.experiments.walks.play import play, streams_of
 from surefoot.experiments.walks.run_score import (
@@ -29,10 +27,10 @@ from surefoot.experiments.walks.run_score import (
     yardsticks_of,
 )
 from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario, find_scenarios, log_paths, record_missing
-from surefoot.experiments.walks.video import join_reels, prepare_rendering, shoot
+from surefoot.experiments.walks.video import join_reels, prepare_rendering, shoot_walk
 from surefoot.experiments.walks.walkers import STAND_TIME
 
-LOOP_COLUMNS = ("severity", "speed", "seed", "feed", "fell", "time", "cop_error", "tracking")
+LOOP_COLUMNS = ("severity", "speed", "seed", "feed", "fell", "time", "cop_error")
 FALL_TO_SHOW = STAND_TIME + 6.0  # s at about which the raw walker of a film best falls: after some steps
 SLICE = 2.0  # time in s between points of the errors that are drawn over time
 
@@ -75,7 +73,7 @@ def run_walk_study(options: WalkStudyOptions) -> WalkStudyResults:
     loops = _loop_cases(options, results.speeds)
     stages = {
         "replay and score": scored,
-        "close the loop": [case for cases in loops.values() for case in cases],
+        "close the loop": loops,
     }
     store = Store(options.out / "results")
     with store.open_for(), runner(options.jobs, results.seconds) as run:
@@ -86,11 +84,8 @@ def run_walk_study(options: WalkStudyOptions) -> WalkStudyResults:
             if cases:
                 run.run(what, cases, store)
         if loops:
-            rows = [
-                store.rows(TABLE, cases).assign(severity=severity, speed=speed)
-                for (severity, speed), cases in loops.items()
-            ]
-            results.loop = pd.concat(rows, ignore_index=True)[list(LOOP_COLUMNS)]
+            found = store.rows(TABLE, stages["close the loop"])
+            results.loop = found[list(LOOP_COLUMNS)]
         if options.film_duration > 0.0 and len(results.loop):
             _film(run, results)
     results.failures = store.failures([case for cases in stages.values() for case in cases])
@@ -100,28 +95,25 @@ def run_walk_study(options: WalkStudyOptions) -> WalkStudyResults:
     return results
 
 
-def _loop_cases(
-    options: WalkStudyOptions, speeds: tuple[float, ...]
-) -> dict[tuple[float, float], list[Case]]:
-    """List the closed loops of the stabiliser, by severity and speed in m/s: episodes of a sweep."""
-    seeds, duration = tuple(range(options.seeds))[: options.loop_seeds], options.loop_duration
-    plans = {
-        (severity, speed): EpisodePlan(
-            ("stabiliser",), feeds, (f"speed-{speed:g}",), (severity,), seeds, duration=duration
-        )
+def _loop_cases(options: WalkStudyOptions, speeds: tuple[float, ...]) -> list[Case]:
+    """List the closed loops of the stabiliser: its walks on each feed, by severity and speed in m/s."""
+    seeds = tuple(range(options.seeds))[: options.loop_seeds]
+    walks = [
+        Walk(feed, speed, seed, options.loop_duration, severity)
         for severity, feeds in options.loops.items()
         for speed in speeds
-    }
-    return {key: [case_of(episode) for episode in plan.episodes] for key, plan in plans.items()}
+        for feed in feeds
+        for seed in seeds
+    ]
+    return [Case(f"{walk}", loop_row, (walk,), (walk, *own_code(walk.feed))) for walk in walks]
 
 
 def _film(run: Runner, results: WalkStudyResults) -> None:
     options, severity = results.options, max(results.options.loops)
     speed, seed = choose_walk_to_film(results.loop[results.loop["severity"] == severity])
-    walk: Any = {"speed": speed, "seed": seed, "duration": options.film_duration, "severity": severity}
-    episodes = [walk_episode(feed, **walk) for feed in ("none", "moment")]
+    walks = [Walk(feed, speed, seed, options.film_duration, severity) for feed in ("none", "moment")]
     try:
-        join_reels(options.out, *run.do("film", [(shoot, (one,)) for one in episodes]))
+        join_reels(options.out, *run.do("film", [(shoot_walk, (walk,)) for walk in walks]))
         results.filmed = (severity, speed, seed)
     except OSError as error:
         results.filmed = str(error)

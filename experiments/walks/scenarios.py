@@ -1,6 +1,6 @@
-"""Scenarios: the task, the errors and the question, of walks that are recorded and of closed loops.
+"""Scenarios: the task, the errors and the question of walks that are recorded.
 
-They are declared in ``scenarios.toml``, and a sweep's own ones in its plan. The bad start is that of all
+They are declared in ``scenarios.toml``. The bad start is that of all
 comparisons: scales off by 12 %, offsets by 1.5 N, drift of 2 % and 1 N per square root of a minute, a centre
 of mass off by 3 mm, a mass off by 0.5 %, a NAO's IMU, telemetry 20 +- 4 ms late.
 """
@@ -8,7 +8,7 @@ of mass off by 3 mm, a mass off by 0.5 %, a NAO's IMU, telemetry 20 +- 4 ms late
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
@@ -21,14 +21,10 @@ from surefoot.experiments.logs.format import write_log
 from surefoot.experiments.study.sources import code_of
 from surefoot.experiments.study.tables import flat
 from surefoot.experiments.walks.record import CONDITIONS, Condition, record_walk
-from surefoot.experiments.walks.walkers import FEEDS, STAND_TIME
+from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, ForceTorque, LoadCells
 from surefoot.sensors.presets import HX711_LOAD_CELLS, resolve
 
-WALK, STAND = "surefoot/NaoWalk-v0", "surefoot/NaoStand-v0"  # ids of environments
-SHORTEST_WALK = 2.0  # shortest walk in s that a pattern is planned for
-FAULT_AFTER = STAND_TIME + 10.0
-"""Time in s from which on a fault that a seed draws may come in a closed loop, within a stride."""
 PLAIN = "speed-0.04"  # the scenario without anything special, which others are held against
 SPEEDS = (0.02, 0.04, 0.1)  # speeds of the CoP paper in m/s
 
@@ -67,15 +63,13 @@ class Scenario:
     name: str  # for files and the command
     title: str
     question: str = ""
-    environment: str = WALK  # id
     options: Mapping[str, Any] = field(default_factory=dict)  # of the environment
     sensors: Mapping[str, Any] = field(default_factory=dict)  # of FootSensors: IMU, encoders, link
     beliefs: Mapping[str, Any] = field(default_factory=dict)  # of SelfCalibration
     setup: Mapping[str, Any] = field(default_factory=dict)  # options of every method that replays
     methods: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of single methods or feeds
     faults: tuple[Fault, ...] = ()  # of one channel; channel and start are drawn
-    study: str = "walks"  # or "paper", scored as the CoP paper scores, too; or "loops" alone
-    of_task: bool = False  # a policy's: joints and tilt are measured on true feet as well
+    study: str = "walks"  # or "paper", scored as the CoP paper scores, too
     walk: str = ""  # for files of the recording
     cells: tuple[Condition, ...] = (_CELLS["chips"],)  # that read a recorded walk, at once
     condition: str = "chips"  # name of those of them that count
@@ -101,13 +95,6 @@ class Scenario:
         """Whether it is scored as the CoP paper scores, too."""
         return self.study == "paper"
 
-    @property
-    def loops(self) -> bool:
-        """Whether a sweep can run it: on load cells, and nobody holds the robot or sets its clock wrong."""
-        recorded_alone = self.long or self.clock_error or self.held[0]
-        walks = self.study == "walks" and self.condition == "chips" and not recorded_alone
-        return walks or self.study == "loops"
-
     def length(self, duration: float) -> float:
         """Return how long a recorded walk takes in s, where the study's walks take ``duration``."""
         return duration if self.duration is None else self.duration
@@ -130,30 +117,6 @@ class Scenario:
             replace(fault, channel=channel, start=start, other=other if fault.kind == "swapped" else None)
             for fault in self.faults
         )
-
-    def options_for(self, duration: float | None) -> dict[str, Any]:
-        """Return the environment's options of a closed loop of s; its plan goes on beyond the end."""
-        around: dict[str, dict[str, Any]] = {
-            WALK: {
-                "speed": self.speed,
-                "duration": max(duration or 0.0, SHORTEST_WALK) + 2 * STAND_TIME,
-                "stand_time": STAND_TIME,
-            },
-            STAND: {"duration": None},
-        }
-        return around.get(self.environment, {}) | dict(self.options)
-
-    def calibration_for(self, feed: str) -> dict[str, Any] | None:
-        """Return the options of a feed's calibration; ``None`` for the true one."""
-        method = FEEDS[feed]
-        return None if method is None else {**method, **self.beliefs, **self.methods.get(feed, {})}
-
-    def sensors_for(self, feed: str, severity: float, seed: int) -> dict[str, Any] | None:
-        """Return the sensors' options for a feed, with a seed's fault; ``None`` for no sensors at all."""
-        if FEEDS[feed] is None:
-            return {} if self.of_task else None
-        faults = [asdict(fault) for fault in self.faults_of(seed, FAULT_AFTER)]
-        return {"severity": severity, **self.sensors, **({"faults": faults} if faults else {})}
 
 
 def scenario_from(name: str, table: Mapping[str, Any], base: Scenario | None = None) -> Scenario:
@@ -192,13 +155,12 @@ def find_scenarios(names: tuple[str, ...], *, quick: bool) -> tuple[Scenario, ..
 
     For no names these are all but those of the CoP paper; quick, without long ones.
     """
-    known = {name: scenario for name, scenario in SCENARIOS.items() if scenario.study != "loops"}
-    unknown = [name for name in names if name not in known]
+    unknown = [name for name in names if name not in SCENARIOS]
     if unknown:
-        raise ValueError(f"There is no scenario '{unknown[0]}'. Available: {', '.join(known)}.")
+        raise ValueError(f"There is no scenario '{unknown[0]}'. Available: {', '.join(SCENARIOS)}.")
     if names:
-        return tuple(known[name] for name in dict.fromkeys(names))
-    return tuple(one for one in known.values() if not (one.paper or (quick and one.long)))
+        return tuple(SCENARIOS[name] for name in dict.fromkeys(names))
+    return tuple(one for one in SCENARIOS.values() if not (one.paper or (quick and one.long)))
 
 
 def log_paths(scenario: Scenario, seed: int, duration: float, folder: Path) -> dict[str, Path]:

@@ -329,7 +329,6 @@ def loop_table(runs: Frame, horizon: float) -> Table:
         "half have fallen after (s)": time_to_half,
         f"time on its feet (s), of {horizon:g}": mean_of("time"),
         "error of the CoP fed back (mm)": mean_of("cop_error", 1e3),
-        "true CoP from its plan (mm)": mean_of("tracking", 1e3),
     }
     note = "Paired: the same seeds, pushes, ground and sensors under every feedback. Errors up to the fall."
     groups = runs.groupby(["severity", "speed"], sort=False)

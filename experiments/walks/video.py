@@ -6,7 +6,7 @@ filled: a black dot is the true centre of pressure, a coloured one that which th
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from ctypes.util import find_library
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from surefoot.arrays import Floats
-from surefoot.experiments.episodes.episode import Episode, EpisodeStep, episode_steps
-from surefoot.experiments.episodes.plan import walk_episode
-from surefoot.experiments.policy.controllers import short_name
+from surefoot.experiments.evaluate.episode import EpisodeStep, Stage
 from surefoot.experiments.study.figures import look_of
+from surefoot.experiments.walks.loop import Walk
 from surefoot.files import atomic_path
 
 FILM, STILL = "walk.mp4", "walk.png"  # of two walks, in a study's folder
 FRAMES_PER_SECOND = 16
 ANIMATIONS = (".webp", ".gif")
 WIDTH, HEIGHT, BELOW = 480, 352, 176
+SIZE = {"width": WIDTH, "height": HEIGHT}  # options of an environment that draws
 AFTER_FALL = 4  # pictures after a fall that the still is of
 FIRST_MOMENT = 3.0  # time in s at which a film begins: before it the robot stands
 PIXELS_PER_METRE = 700  # scale of the view from above
@@ -50,22 +50,22 @@ def prepare_rendering() -> None:
         os.environ.setdefault("MUJOCO_GL", "egl")
 
 
-def shoot(episode: Episode, begin: float = FIRST_MOMENT, title: str = "") -> Reel:
-    """Film an episode from a time in s on, under a title, by default the name of its feed.
+def shoot(steps: Iterable[EpisodeStep], feed: str, begin: float = 0.0, title: str = "") -> Reel:
+    """Film an episode whose environment draws, from a time in s on, under a title, by default its feed.
 
     Raises OSError if nothing can be drawn, ValueError if it is refused, or ends before the film begins.
     """
-    prepare_rendering()
     frames, fell = [], False
     try:
-        steps = episode_steps(episode, render_mode="rgb_array", width=WIDTH, height=HEIGHT)
         for k, step in enumerate(steps):
-            quality, fell = step.bare.model.vis.quality, step.fell
+            bare: Any = step.feet.unwrapped
+            quality, fell = bare.model.vis.quality, step.fell
             # Shadows take a software renderer ten times as long as all the rest.
             quality.shadowsize, quality.offsamples = 0, 4
-            shown = k % round(1.0 / (step.bare.dt * FRAMES_PER_SECOND)) == 0 and step.time > begin
+            dt = step.time / len(step.feet.fed)
+            shown = k % max(round(1.0 / (dt * FRAMES_PER_SECOND)), 1) == 0 and step.time > begin
             if shown or fell:
-                frames.append(_sheet(episode.feed, step, title))
+                frames.append(_sheet(feed, step, title))
     except ValueError:
         raise  # An episode that is refused is no fault of the driver.
     except Exception as error:  # Drivers fail in as many ways as there are drivers.
@@ -79,6 +79,12 @@ def shoot(episode: Episode, begin: float = FIRST_MOMENT, title: str = "") -> Ree
     return Reel(frames, fell)
 
 
+def shoot_walk(walk: Walk) -> Reel:
+    """Film a walk from the end of its standing on; errors as of :func:`shoot`."""
+    prepare_rendering()
+    return shoot(walk.steps(render_mode="rgb_array", **SIZE), walk.feed, FIRST_MOMENT)
+
+
 def join_reels(folder: Path, *reels: Reel) -> None:
     """Set walks side by side in :data:`FILM`; :data:`STILL` is from the first fall, or from half way."""
     frames = _side_by_side(reels)
@@ -90,29 +96,29 @@ def join_reels(folder: Path, *reels: Reel) -> None:
 
 
 def film_walks(path: Path, feeds: Sequence[str], **walk: Any) -> Path:
-    """Film the same walk on one or more feeds side by side into a file; as :func:`walk_episode`."""
-    return write_film(path, _side_by_side([shoot(walk_episode(feed, **walk)) for feed in feeds]))
+    """Film the same walk on one or more feeds side by side into a file; fields as of :class:`Walk`."""
+    return write_film(path, _side_by_side([shoot_walk(Walk(feed, **walk)) for feed in feeds]))
 
 
 def watch_walk(feed: str, **walk: Any) -> None:
-    """Show a walk, as :func:`walk_episode`, in a window; raise OSError without a screen.
+    """Show a walk, with fields as of :class:`Walk`, in a window; raise OSError without a screen.
 
     Dots on the ground are the true centre of pressure (black) and the fed one, in its feed's colour.
     """
     if sys.platform == "linux" and not _has_screen():
         raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
     colour = np.array(ImageColor.getrgb(look_of(feed).colour)) / 255.0
-    for step in episode_steps(walk_episode(feed, **walk), render_mode="human"):
+    for step in Walk(feed, **walk).steps(render_mode="human"):
         dots = ((step.true_cop_world, np.zeros(3), 0.008), (step.fed_cop_world, colour, 0.010))
-        step.bare.markers = [
+        bare: Any = step.feet.unwrapped
+        bare.markers = [
             ((*place, 0.004), (*rgb, 1.0), radius) for place, rgb, radius in dots if np.isfinite(place).all()
         ]
 
 
-def film_episode(path: Path, episode: Episode) -> Path:
-    """Film an episode as .mp4; errors as of :func:`shoot`."""
-    who = f"{short_name(episode.controller)}, {look_of(episode.feed).label}, {episode.scenario}"
-    return write_film(path, shoot(episode, 0.0, f"case {episode.number}: {who}").frames)
+def film_stage(path: Path, stage: Stage, feed: str, seed: int, title: str) -> Path:
+    """Film an episode of an evaluation as .mp4; its environment draws. Errors as of :func:`shoot`."""
+    return write_film(path, shoot(stage.steps(seed), feed, title=title).frames)
 
 
 def write_film(path: Path, frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> Path:
@@ -145,9 +151,12 @@ def _side_by_side(reels: Sequence[Reel]) -> list[NDArray[np.uint8]]:
 def _sheet(feed: str, step: EpisodeStep, title: str) -> NDArray[np.uint8]:
     """Put the walker, a title with the time, and the view from above on one sheet."""
     sheet, look = Image.new("RGB", (WIDTH, HEIGHT + BELOW), "white"), look_of(feed)
-    sheet.paste(Image.fromarray(step.bare.render()), (0, 0))
+    bare: Any = step.feet.unwrapped
+    sheet.paste(Image.fromarray(bare.render()).resize((WIDTH, HEIGHT)), (0, 0))
     sheet.paste(_from_above(feed, step), (0, HEIGHT))
-    name = {"true": "true CoP", "none": "drifting raw CoP"}.get(feed, f"CoP by {look.label}")
+    name = {"true": "true CoP", "none": "drifting raw CoP", "raw": "drifting raw CoP"}.get(
+        feed, f"CoP by {look.label}"
+    )
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=14 if title else 18)
     draw.rectangle((0, 0, WIDTH, 30), fill="white")
     draw.ellipse((10, 10, 20, 20), fill=look.colour)
@@ -163,7 +172,7 @@ def _from_above(feed: str, step: EpisodeStep) -> Image.Image:
     """Draw soles and centres of pressure, forward to the right and left upwards, moving with the robot."""
     size = np.array([WIDTH, BELOW]) * OVERSAMPLING
     scale = PIXELS_PER_METRE * OVERSAMPLING
-    truth = step.bare.truth
+    truth, drawing = step.feet.source.truth, step.feet.source.drawing
     sole, R = truth.position_sole[-1], truth.R_world_sole[-1]
     centre = sole[:, :2].mean(axis=0)
 
@@ -173,9 +182,8 @@ def _from_above(feed: str, step: EpisodeStep) -> Image.Image:
 
     picture = Image.new("RGB", (int(size[0]), int(size[1])), "#f6f8fa")
     draw = ImageDraw.Draw(picture)
-    cells = step.bare.position_cell_sole
-    force = truth.force_cell[-1].reshape(2, 4).sum(axis=1)
-    for foot in (0, 1):
+    cells, force = drawing.position_cell_sole, truth.contacts()[:, 2]
+    for foot in range(len(sole)) if cells is not None else ():
         corners = sole[foot] + cells[foot][[0, 1, 3, 2]] @ R[foot].T
         fill = "#dfe4ea" if force[foot] > 1.0 else None
         draw.polygon([at(corner) for corner in corners], fill, outline="#5b6775", width=2 * OVERSAMPLING)

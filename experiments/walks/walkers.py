@@ -8,14 +8,9 @@ from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
-from gymnasium import spaces
 
 from surefoot.calibration.online import METHODS
 from surefoot.names import plain_name
-from surefoot.sensors import LoadCells
-from surefoot.sensors.presets import HX711_LOAD_CELLS
-from surefoot.wrappers.foot_sensors import FootSensors
-from surefoot.wrappers.self_calibration import SelfCalibration
 
 _FIRST: Mapping[str, Mapping[str, Any] | None] = MappingProxyType(
     {
@@ -71,46 +66,6 @@ class TruthTap(gym.Wrapper[Any, Any, Any, Any]):
         """Keep the observation."""
         self.seen, *rest = self.env.step(action)
         return self.seen, *rest
-
-
-class TrueCop(gym.ObservationWrapper[Any, Any, Any]):
-    """Show the true centre of pressure, of a tap, beside the sensors' joints and tilt: for bounds."""
-
-    def __init__(self, env: gym.Env[Any, Any], tap: TruthTap) -> None:
-        super().__init__(env)
-        self._tap = tap
-        shown, truth = env.observation_space, tap.observation_space
-        assert isinstance(shown, spaces.Dict)
-        assert isinstance(truth, spaces.Dict)
-        self._keys = ("foot_force", "cop_foot", "cop", "cop_valid")
-        self.observation_space = spaces.Dict(dict(shown.spaces) | {key: truth[key] for key in self._keys})
-
-    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """Show the truth."""
-        return observation | {key: self._tap.seen[key] for key in self._keys}
-
-
-def put_on_feet(
-    bare: gym.Env[Any, Any],
-    calibration: Mapping[str, Any] | None,
-    cells: str | LoadCells = HX711_LOAD_CELLS,
-    sensors: Mapping[str, Any] | None = MappingProxyType({}),
-) -> tuple[gym.Env[Any, Any], TruthTap]:
-    """Return an environment behind sensors and a calibration, and the tap that sees its truth.
-
-    Studies make theirs in this one way. Options are those of :class:`SelfCalibration`, ``None`` for the true
-    centre of pressure, and of :class:`FootSensors`, ``None`` for no sensors at all, where joints and tilt are
-    true as well. Raises ValueError if one is refused, or there is nothing to calibrate.
-    """
-    tap = TruthTap(bare)
-    if sensors is None:
-        if calibration is not None:
-            raise ValueError(
-                "Without sensors there is nothing to calibrate; give 'sensors' or no 'calibration'."
-            )
-        return tap, tap
-    worn = FootSensors(tap, cells, **sensors)
-    return (TrueCop(worn, tap) if calibration is None else SelfCalibration(worn, **calibration)), tap
 
 
 G1_FEET = ("left_ankle_roll_link", "right_ankle_roll_link")

@@ -18,7 +18,6 @@ from surefoot.arrays import stack_rows
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
-from surefoot.experiments.episodes.episode import row_of_failure
 from surefoot.experiments.logs.bag import guess_topics
 from surefoot.experiments.logs.format import Log, LogTruth, write_log
 from surefoot.experiments.walks.record import record_walk
@@ -28,7 +27,6 @@ from surefoot.wrappers import FootSensors, SelfCalibration
 NAO = str(files("surefoot.envs.robots").joinpath("nao.xml"))
 SAMPLES = 60
 MASS = 5.3
-MEANS = {"true": 100.0, "none": 50.0, "quasi-static": 70.0, "window": 80.0, "moment": 97.0}
 
 
 @pytest.fixture(scope="session")
@@ -111,27 +109,6 @@ def full(log: Log) -> Log:
 def walks() -> dict[str, Log]:
     """Give a walk of 16 s from a bad start and from calibrated cells."""
     return record_walk(0.04, 11, 16.0)
-
-
-@pytest.fixture
-def invented(monkeypatch):
-    """Episodes that take no time, and a note of each that was run."""
-    ran = []
-
-    def row(episode, controller=None):
-        ran.append(episode)
-        total = MEANS[episode.feed] + np.sin(episode.seed + len(episode.feed))
-        total += 1000.0 if episode.controller == "zero" else 0.0
-        return row_of_failure(episode, "") | {
-            "return": total,
-            "time": 18.0,
-            "cop_error": 0.0,
-            "tracking": 0.0,
-        }
-
-    monkeypatch.setattr("surefoot.experiments.episodes.episode.episode_row", row)
-    monkeypatch.setattr("surefoot.experiments.episodes.run.check_episode", lambda episode: None)
-    return ran
 
 
 @pytest.fixture

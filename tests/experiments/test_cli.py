@@ -27,7 +27,7 @@ from surefoot.experiments.study import progress
 from surefoot.experiments.study.tables import Table, decimal, number
 from surefoot.names import page
 
-COMMANDS = ("demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate", "sweep", "replay")
+COMMANDS = ("demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate")
 
 
 def test_version_and_help() -> None:
@@ -109,8 +109,6 @@ def test_every_command_that_prints_a_table_prints_json() -> None:
         for path, command in named(typer.main.get_command(app))
     }
     assert {path for path, known in options.items() if "--json" not in known} == {("train",), ("view",)}
-    scenarios = run_for_json("sweep", "--scenarios")["tables"]["scenarios"]["rows"]
-    assert {"scenario": "speed-0.04", "what it is": "0.04 m/s"} in scenarios
     assert run("calibrate", "weights", "gone.csv", "--json", code=2).stdout == ""
 
 
@@ -147,7 +145,7 @@ def test_without_a_terminal_a_line_is_said_now_and_then(
     assert lines[0].startswith("Episodes: 1 of 3, 1 fell")
 
 
-@pytest.mark.parametrize("module", ["typer", "mujoco._specs", "surefoot.experiments.episodes.run"])
+@pytest.mark.parametrize("module", ["typer", "mujoco._specs", "surefoot.experiments.evaluate.command"])
 def test_an_interruption_ends_in_one_line(tmp_path: Path, module: str) -> None:
     """Ctrl-C comes when a module is about to be imported, of Python or of C, before or in the command."""
     code = (
@@ -157,7 +155,7 @@ def test_an_interruption_ends_in_one_line(tmp_path: Path, module: str) -> None:
         "def heard(event, given):\n"
         f"    if event == 'import' and given[0] == {module!r}: os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.addaudithook(heard)\n"
-        f"sys.argv = ['surefoot', 'sweep', '--out', {str(tmp_path)!r}]\n"
+        f"sys.argv = ['surefoot', 'evaluate', 'surefoot/NaoStand-v0', 'zero', '--out', {str(tmp_path)!r}]\n"
         "main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)

@@ -26,8 +26,8 @@ from surefoot.calibration import (
     online,
     register_method,
 )
-from surefoot.experiments.episodes.plan import EpisodePlan, evaluation_plan
-from surefoot.experiments.episodes.run import case_of, run_plan
+from surefoot.experiments.evaluate import evaluate
+from surefoot.experiments.evaluate.grid import Plan
 from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.view.session import check_method
 from surefoot.experiments.walks.options import WalkStudyOptions
@@ -90,10 +90,12 @@ def test_a_users_sensor_goes_by_its_name_where_presets_do(own):
     many = VectorFootSensors(many, "heavy-cells", imu="quiet-imu")
     assert many.reset(seed=0)[0]["foot_raw"].shape == (2, 8)
     assert preset("my_feet:quiet-imu", Imu).accelerometer_noise == 0.0
-    plan = EpisodePlan(("zero",), ("none",), cells="my_feet:heavy-cells", seeds=(0,), severities=(1.0,))
-    key = case_of(plan.episodes[0]).key
+    plan = Plan.of(
+        "surefoot/NaoWalk-v0", "stabiliser", cells="my_feet:heavy-cells", feeds=("raw",), seeds=(0,)
+    )
+    key = plan.cases()[0].key
     register_preset("heavy-cells", LoadCells(capacity=300.0), replace=True)
-    assert case_of(plan.episodes[0]).key != key, "what other cells brought would be taken for theirs"
+    assert plan.cases()[0].key != key, "what other cells brought would be taken for theirs"
 
 
 def test_a_sensors_name_must_be_free(own):
@@ -147,28 +149,23 @@ def test_a_users_calibrator_goes_by_its_name_where_methods_do(own, log: Log, tmp
 def test_a_users_calibrator_takes_part_in_studies(own):
     name = "my_feet:slow-tare"
     assert WalkStudyOptions(methods=("none", name)).rows[1:] == ("none", name)
-    plan = evaluation_plan(("zero",), (name, "true", "none"), seeds=1, task="walk")
-    assert plan.feeds == ("true", "none", name)
-    case = case_of(plan.episodes[-1])
-    assert case.arguments[0].calibration == {"method": name}
+    plan = Plan.of("surefoot/NaoWalk-v0", "stabiliser", feeds=("true", name), severities=(1.0,), seeds=(0,))
+    assert [episode.feed for episode in plan.episodes] == ["true", name]
+    key = plan.cases()[-1].key
     own.write_text(own.read_text() + "# changed\n")
-    assert case_of(plan.episodes[-1]).key != case.key, "results of the old code would be taken for its own"
+    assert plan.cases()[-1].key != key, "results of the old code would be taken for its own"
     assert check_method("slow-tare") == "slow-tare"
     with pytest.raises(ValueError, match=r"Method 'json:tool' does not exist"):
         check_method("json:tool")
     with pytest.raises(ValueError, match=r"There is no feed 'mine'. Available: .*'moment', 'slow-tare'"):
-        evaluation_plan(("zero",), ("mine",))
+        Plan.of("surefoot/NaoWalk-v0", "stabiliser", feeds=("mine",))
 
 
 @pytest.mark.slow
 def test_workers_import_a_users_module(own, tmp_path):
     """Processes of their own know of no name that was registered here."""
-    plan = EpisodePlan(
-        *(("zero",), ("none", "my_feet:slow-tare"), ("speed-0.04",), (1.0,), (0,)),
-        duration=6.0,
-        cells="my_feet:heavy-cells",
-    )
-    rows = run_plan(plan, tmp_path / "out", jobs=2).rows
+    given = {"feeds": ("raw", "my_feet:slow-tare"), "severities": (1.0,), "seeds": (0,), "duration": 6.0}
+    rows = evaluate("surefoot/NaoWalk-v0", "stabiliser", cells="my_feet:heavy-cells", jobs=2, **given).rows
     assert list(rows["error"]) == ["", ""]
 
 

@@ -17,8 +17,7 @@ from surefoot.calibration.in_situ.fit import read_calibration
 from surefoot.controllers import CalibrationMotion
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.envs.prelude import Prelude
-from surefoot.experiments.episodes.episode import Episode
-from surefoot.experiments.episodes.plan import plan_from_toml
+from surefoot.experiments.evaluate import command
 from surefoot.experiments.force_torque.config import read_config
 from surefoot.experiments.logs.bag import _read_topics
 from surefoot.experiments.logs.format import METADATA_KEY, read_log
@@ -51,6 +50,11 @@ def large(path: Path) -> None:
         file.truncate(LARGEST_TEXT + 1)
 
 
+def read_plan(path):
+    """Read what surefoot evaluate --config is given."""
+    return command.read_config(path, path.parent, False)
+
+
 MOTION = "time_s,target_knee_rad,stance_left_1,stance_right_1,swing_left_1,swing_right_1,rest_1"
 FILES: dict[str, tuple[str, Any, Any, str]] = {
     "deep JSON in Parquet": (
@@ -72,8 +76,8 @@ FILES: dict[str, tuple[str, Any, Any, str]] = {
     "deep TOML": ("a.toml", text(DEEP_TOML), read_toml, "a.toml: not TOML: it is nested more than 64 levels"),
     "dotted TOML": ("a.toml", text(DOTTED), read_toml, "a.toml: not TOML: it is nested more than 64 levels"),
     "binary TOML": ("a.toml", text(BINARY), read_toml, "a.toml: not a text in UTF-8 ("),
-    "a deep plan": ("a.toml", text(DEEP_TOML), plan_from_toml, "a.toml: not TOML: it is nested more than 64"),
-    "no plan": ("a.toml", lambda path: None, plan_from_toml, "a.toml: no such file."),
+    "a deep plan": ("a.toml", text(DEEP_TOML), read_plan, "a.toml: not TOML: it is nested more than 64"),
+    "no plan": ("a.toml", lambda path: None, read_plan, "a.toml: no such file."),
     "deep topics": (
         "a.toml", text(DOTTED), lambda path: _read_topics(Path("walk.bag"), path),
         "a.toml: not TOML: it is nested more than 64 levels deep.",
@@ -113,10 +117,6 @@ FILES: dict[str, tuple[str, Any, Any, str]] = {
         "a.csv has a column twice; write it with surefoot calibrate motion.",
     ),
     "a policy that is a pipe": ("a.npz", os.mkfifo, PolicyNetwork.load, "a.npz' is a named pipe"),
-    "a deep episode": (
-        "a.json", text(DEEP), lambda path: Episode.from_json(path.read_text()),
-        "This episode: not JSON: it is nested more than 64 levels deep.",
-    ),
 }  # fmt: skip
 
 

@@ -33,7 +33,11 @@ SERVES = {
     "robots": ["python -c 'from surefoot import envs; envs.load_robot_spec(\"g1\").compile()'"],
     "rl": ["python -c 'import surefoot.wrappers.vector.sb3'"],
     "gpu": ["python -c 'import surefoot.wrappers.gpu'"],
-    "experiments": ["surefoot --help", "surefoot calibrate ft --sample", "surefoot sweep --scenarios"],
+    "experiments": [
+        "surefoot --help",
+        "surefoot calibrate ft --sample",
+        "surefoot evaluate surefoot/NaoStand-v0 zero --option duration=0.5 --seeds 2",
+    ],
     "ros": ["surefoot calibrate walk no.bag > said 2>&1; cat said; grep -q 'no such bag' said"],
     "view": ["timeout --preserve-status -s INT 60 surefoot view --port 8397"],
     "docs": [f"sphinx-build -q -W -D nb_execution_mode=off {ROOT}/docs site"],

@@ -1,12 +1,11 @@
-"""Figures of both presets; colours mean feeds, as in all of surefoot's figures."""
+"""Figures of an evaluation; colours mean feeds, as in all of surefoot's figures."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from surefoot.experiments.episodes.scores import controllers_of, severities_of
-from surefoot.experiments.policy.controllers import labels
+from surefoot.experiments.evaluate.statistics import mean_over, severities_of
 from surefoot.experiments.study.figures import (
     by_way,
     figure_at,
@@ -17,31 +16,28 @@ from surefoot.experiments.study.figures import (
     show_values,
 )
 from surefoot.experiments.study.page import ReportFigure
-from surefoot.experiments.study.statistics import fall_share, mean_interval, survival
+from surefoot.experiments.study.statistics import fall_share, survival
 from surefoot.experiments.study.tables import Frame
 
 
-def outcome_figures(
-    folder: Path, rows: Frame, suffix: str = "", since: str = ""
-) -> tuple[ReportFigure, ReportFigure]:
-    """Draw the results of one scenario, in files with a suffix; ``since`` says when time begins."""
-    returns = against_severity(folder / f"returns{suffix}.svg", rows)
-    standing = survival_curves(folder / f"survival{suffix}.svg", rows)
+def outcome_figures(folder: Path, rows: Frame) -> tuple[ReportFigure, ReportFigure]:
+    """Draw returns and falls against severity, and survival over time."""
+    returns = against_severity(folder / "returns.svg", rows)
+    standing = survival_curves(folder / "survival.svg", rows)
     means = "Mean return with 95 % intervals (Student t), and share of falls (Wilson), over severity."
-    shares = f"Share on its feet over time{since} (Kaplan and Meier) with 95 % bands (Greenwood, log-log)."
+    shares = "Share of episodes that have not ended in a fall, over time (Kaplan and Meier) with 95 % bands."
     return ReportFigure(returns, "Return and falls", means), ReportFigure(standing, "Survival", shares)
 
 
 def survival_curves(path: Path, rows: Frame) -> Path:
-    """Draw shares on their feet over time with 95 % bands: severities across, controllers down."""
-    controllers = controllers_of(rows)
-    names = labels(controllers)
+    """Draw shares on their feet over time with 95 % bands: severities across, policies down."""
+    policies = list(dict.fromkeys(rows["policy"]))
     severities = severities_of(rows) or [0.0]
-    with figure_at(path, max(9.2, 2.9 * len(severities)), 2.5 * len(controllers) + 1.1) as figure:
-        panels = grid_of(figure, len(controllers), len(severities), sharex=True, sharey=True)
-        for line, controller in zip(panels, controllers, strict=True):
+    with figure_at(path, max(9.2, 2.9 * len(severities)), 2.5 * len(policies) + 1.1) as figure:
+        panels = grid_of(figure, len(policies), len(severities), sharex=True, sharey=True)
+        for line, policy in zip(panels, policies, strict=True):
             for axes, severity in zip(line, severities, strict=True):
-                part = rows[rows["controller"] == controller]
+                part = rows[rows["policy"] == policy]
                 part = part[(part["feed"] == "true") | (part["severity"] == severity)]
                 for i, (feed, runs) in enumerate(by_way(part, "feed").items()):
                     curve, look = survival(runs["time"], runs["fell"]), look_of(feed)
@@ -51,7 +47,7 @@ def survival_curves(path: Path, rows: Frame) -> Path:
                     band = {"step": "post", "color": look.colour, "alpha": 0.12, "linewidth": 0}
                     axes.fill_between(curve.time, curve.low, curve.high, **band)
                 axes.set_ylim(-0.03, 1.03)
-                axes.set_title(f"{names[controller]}, severity {severity:g}", parse_math=False)
+                axes.set_title(f"{policy}, severity {severity:g}", parse_math=False)
         name_axes(panels, "time (s)", "share on its feet")
         legend_below(figure, panels.ravel())
     return path
@@ -59,13 +55,12 @@ def survival_curves(path: Path, rows: Frame) -> Path:
 
 def against_severity(path: Path, rows: Frame) -> Path:
     """Draw mean return and share of falls against severity with 95 % intervals; true feet across."""
-    controllers = controllers_of(rows)
-    names = labels(controllers)
+    policies = list(dict.fromkeys(rows["policy"]))
     severities = severities_of(rows)
-    with figure_at(path, 8.8, 2.7 * len(controllers) + 0.9) as figure:
-        panels = grid_of(figure, len(controllers), 2, sharex=True, sharey="col")
-        for line, controller in zip(panels, controllers, strict=True):
-            part = rows[rows["controller"] == controller]
+    with figure_at(path, 8.8, 2.7 * len(policies) + 0.9) as figure:
+        panels = grid_of(figure, len(policies), 2, sharex=True, sharey="col")
+        for line, policy in zip(panels, policies, strict=True):
+            part = rows[rows["policy"] == policy]
             feeds = by_way(part, "feed")
             for i, (feed, runs) in enumerate(feeds.items()):
                 beside = 0.012 * (i - 0.5 * len(feeds)) * part["severity"].max()
@@ -73,7 +68,7 @@ def against_severity(path: Path, rows: Frame) -> Path:
             line[1].set_ylabel("share that fell")
             line[1].set_ylim(-0.03, 1.03)
             for axes in line:
-                axes.set_title(names[controller], parse_math=False)
+                axes.set_title(policy, parse_math=False)
         name_axes(panels, "severity", "return")
         for axes in panels[-1] if severities else ():
             show_values(axes, severities)
@@ -87,7 +82,7 @@ def _severities(line: Any, runs: Frame, feed: str, beside: float) -> None:
     style: dict[str, Any] = {"color": look.colour, "linestyle": look.line}
     severities = np.array(sorted(runs["severity"].unique()))
     by_severity = [runs[runs["severity"] == severity] for severity in severities]
-    returns = [mean_interval(part["return"]) for part in by_severity]
+    returns = [mean_over(part.set_index(["training", "seed"])["return"]) for part in by_severity]
     shares = [fall_share(part["fell"]) for part in by_severity]
     if feed == "true":
         line[0].axhline(returns[0].mean, label=look.label, **style)
