@@ -124,10 +124,11 @@ def backend_of(name: str, address: str | None) -> AbstractContextManager[Any]:
 
     try:
         if name == "dask":
-            from distributed import Client  # type: ignore[import-not-found, unused-ignore]
+            from distributed import Client
 
             Client(address)  # becomes the default client, which joblib asks for
-        return joblib.parallel_config(name)
+        chosen: AbstractContextManager[Any] = joblib.parallel_config(name)
+        return chosen
     except (ImportError, ValueError) as error:
         raise ValueError(
             f"The backend '{name}' of joblib is not there ({error}); install its package."

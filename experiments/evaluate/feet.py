@@ -17,6 +17,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.arrays import Floats
@@ -52,10 +53,11 @@ class FedFeet(gym.Wrapper[Any, Any, Any, Any]):
         gym.Wrapper.__init__(self, env)
         self._tap, self._true, self.source = tap, true, source
         self.feet = tuple(foot.name for foot in env.layout.feet)
-        self._spaces: Any = env.observation_space
-        self._parts = [part for part in TRUE_PARTS if part in self._spaces.spaces]
+        assert isinstance(env.observation_space, spaces.Dict)
+        self._spaces: dict[str, Any] = env.observation_space.spaces
+        self._parts = [part for part in TRUE_PARTS if part in self._spaces]
         # Environments of this package observe their true feet; of others the measurements know them.
-        observed = getattr(tap.observation_space, "spaces", {})
+        observed: Any = getattr(tap.observation_space, "spaces", {})
         self._observed = {part for part in self._parts if part in observed}
         self._centres = [part for part in ("cop", "cop_foot") if part in self._parts]
         self.seen: dict[str, Any] = {}

@@ -109,4 +109,5 @@ def scenario_of(words: Sequence[str]) -> Scenario | None:
                 f"The scenario '{name}' needs a number, as in {name}=1.5, got '{word}'."
             ) from None
 
-    return Scenario(**reduce(read, words, {})) if words else None
+    nothing: dict[str, float] = {}
+    return Scenario(**reduce(read, words, nothing)) if words else None

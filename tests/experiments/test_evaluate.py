@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -309,7 +310,9 @@ def test_an_interruption_leaves_nothing_running(tmp_path):
         f"    out = {str(tmp_path / 'out')!r}\n"
         "    surefoot.evaluate(_biped.make, _biped.swing, seeds=4000, jobs=2, out=out)\n"
     )
-    process = subprocess.Popen([sys.executable, str(script)], stderr=subprocess.PIPE, env=os.environ.copy())
+    # A file and no pipe: workers of a stopped process would keep a pipe open for a while.
+    with (tmp_path / "said.txt").open("wb") as said:
+        process = subprocess.Popen([sys.executable, str(script)], stderr=said, stdout=said)
     journal = tmp_path / "out" / "journal.jsonl"
     for _ in range(600):
         if journal.is_file() and journal.stat().st_size:
@@ -318,3 +321,22 @@ def test_an_interruption_leaves_nothing_running(tmp_path):
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=30) != 0
     assert journal.stat().st_size
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_rows_though_a_worker_is_killed(monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="needs dask: pip install surefoot[dask]")
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+    given: Any = {"policy": _biped.lean, "observe": _biped.cop_of, "seeds": 20, "severities": (1.0, 2.0)}
+    here = evaluate(_biped.make, **given).rows
+    options: Any = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+        first, _ = client.run(os.getpid).values()
+        killing = threading.Timer(3.0, os.kill, (first, signal.SIGKILL))
+        killing.start()
+        with joblib.parallel_config("dask"):
+            there = evaluate(_biped.make, jobs=None, **given).rows
+        killing.join()
+    pd.testing.assert_frame_equal(
+        here.drop(columns="wall_time"), there.drop(columns="wall_time"), check_exact=True
+    )
