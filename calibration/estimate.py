@@ -20,7 +20,7 @@ class Flag(IntFlag):
     _value_: int
     words: str  # the flag in a few words, for tables and messages
 
-    def __new__(cls, value: int, words: str) -> "Flag":
+    def __new__(cls, value: int, words: str = "") -> "Flag":
         flag = int.__new__(cls, value)
         flag._value_, flag.words = value, words
         return flag
