@@ -181,6 +181,7 @@ def _check_weight(model: mujoco.MjModel, data: mujoco.MjData, feet: tuple[int, .
     moving = robot[model.dof_bodyid] & (model.dof_bodyid != root)
     held.dof_armature[moving] = HELD
     held.jnt_stiffness[robot[model.jnt_bodyid]] = 0.0
+    held.opt.gravity[:] = 0.0, 0.0, -np.linalg.norm(model.opt.gravity)
     held.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
     tried = mujoco.MjData(held)
     tried.qpos[:] = data.qpos

@@ -12,7 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.feet import find_feet
-from surefoot.envs.instrumentation.geometry import FootGeometry, below, check_layout, measure_foot
+from surefoot.envs.instrumentation.geometry import (
+    FACE_SLOPE,
+    FootGeometry,
+    below,
+    check_layout,
+    measure_foot,
+)
 from surefoot.envs.instrumentation.plate import SolePlate
 
 
@@ -217,11 +223,10 @@ def measure_robot(
         raise ValueError(
             f"The torso and the feet need names: give the bodies {unnamed or ['torso']} one each."
         )
-    *level, down = model.opt.gravity
-    if not down < 0.0 or np.linalg.norm(level) > 1e-6 * -down:
+    if not -model.opt.gravity[2] > FACE_SLOPE * np.linalg.norm(model.opt.gravity):
         raise ValueError(
-            f"Gravity must point down the world's z axis, got {model.opt.gravity.tolist()} m/s^2: level feet "
-            "and what they carry would not be known. Tilt the ground instead of gravity."
+            "Gravity must point down the world's z axis, to within 30 degrees, got "
+            f"{model.opt.gravity.tolist()} m/s^2: soles are measured as they look down that axis."
         )
     weighed = below(model, root) * model.body_mass
     if not float(weighed @ (1.0 - model.body_gravcomp)) > LEAST_WEIGHT * float(weighed.sum()):

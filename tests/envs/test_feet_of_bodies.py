@@ -72,13 +72,15 @@ def test_feet_that_do_not_bear_the_weight_are_refused_with_both_figures():
 
 
 def test_gravity_is_that_of_the_model():
-    """What is drawn has the world's own gravity; one that does not point down is refused."""
+    """What is drawn has the world's own gravity, which may be tilted but must point down."""
     made = instrument(mujoco.MjSpec.from_string(biped(FEET["frame"], gravity="0 0 -3.7")))
     mass = made.spec.compile().body_subtreemass[1]
     assert made.drawing.gravity == pytest.approx(3.7)
     assert made.drawing.weight == pytest.approx(3.7 * mass)
-    with pytest.raises(ValueError, match=r"Gravity must point down .* got \[1\.0, 0\.0, -9\.8\]"):
-        instrument(mujoco.MjSpec.from_string(biped(FEET["frame"], gravity="1 0 -9.8")))
+    tilted = instrument(mujoco.MjSpec.from_string(biped(FEET["frame"], gravity="1.2 0 -3.5")))
+    assert tilted.drawing.gravity == pytest.approx(3.7)
+    with pytest.raises(ValueError, match=r"Gravity must point down .* got \[8\.0, 0\.0, -5\.8\]"):
+        instrument(mujoco.MjSpec.from_string(biped(FEET["frame"], gravity="8 0 -5.8")))
 
 
 def test_a_simulation_that_blows_up_goes_on_without_a_sample():

@@ -134,6 +134,7 @@ ROBOTS = {
     "ball wrists": biped(TRUNK + arms(hand=hand('type="ball" stiffness="2"', 0.05))),
     "keyframe": biped(end='<keyframe><key name="home" qpos="0 0 0.6 1 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>'),
     "floor of a box": biped(floor='<geom type="box" size="2 2 0.1" pos="0 0 -0.1"/>'),
+    "tilted gravity": biped(option='gravity="0.5 -0.3 -9.8"'),
     "moon": biped(option='gravity="0 0 -1.62"'),
     "implicitfast": biped(option='integrator="implicitfast"'),
     "elliptic cone": biped(option='cone="elliptic" impratio="10"'),
