@@ -53,7 +53,7 @@ _FLAGS: Final = (
 )
 """Whole numbers that an environment may change on its compiled model; all other numbers are carried over."""
 
-_DERIVED: Final = ("sensor_", "bvh_", "oct_", "key_", "mesh_", "hfield_", "skin_", "tex_", "flex")
+_DERIVED: Final = ("sensor_", "bvh_", "oct_", "key_", "mesh_", "skin_", "tex_", "flex")
 """Beginnings of the names of arrays that are another model's own, or that no environment changes."""
 
 _DRAWN: Final = ("mesh_", "bvh_", "oct_", "tex_", "skin_")

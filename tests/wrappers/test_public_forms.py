@@ -319,3 +319,24 @@ def test_vectors_of_published_forms_know_how_long_a_step_lasts(kind: Any, tmp_pa
     truth = infos["surefoot"]["truth"]["vgrf"]
     np.testing.assert_allclose(truth.sum(axis=1), weight, rtol=0.01)
     np.testing.assert_allclose(infos["surefoot"]["vgrf"], truth, atol=0.01 * weight)
+
+
+class Terrain(Own):
+    """Fills its height field in its constructor, and drops the robot on it."""
+
+    def prepare(self):
+        self.model.hfield_data[:] = np.linspace(0.0, 1.0, self.model.hfield_data.size)
+
+
+def test_terrain_that_an_environment_has_filled_stays(tmp_path: Path) -> None:
+    field = '<hfield name="ground" nrow="20" ncol="20" size="2 2 0.04 0.1"/>'
+    text = biped(height=0.8, floor='<geom type="hfield" hfield="ground"/>', assets=field)
+    path = written(tmp_path, text)
+    bare, env = Terrain(path), FootSensors(Terrain(path), "perfect")
+    bare.reset(seed=0)
+    env.reset(seed=0)
+    for _ in range(60):
+        bare.step(np.zeros(8))
+        env.step(np.zeros(8))
+    assert env.source.truth.vgrf().max() > 10.0
+    np.testing.assert_array_equal(env.unwrapped.data.qpos, bare.data.qpos)
