@@ -43,29 +43,28 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         env: An environment whose ``unwrapped`` has ``model`` and ``data``, such as Gymnasium's ``MujocoEnv``.
         feet: Names of the feet's bodies in order; None for the two lowest leaves, the left one first.
         cells: Places of the load cells in the sole's frame in m, front-left, front-right, rear-left,
-            rear-right, shape (4, 2), by the foot's body; others lie in the soles' corners.
-        margin: How far these are drawn in from the sole's edges in m.
-        soles: ``True`` puts a flat sole under each foot that has no area, or the mapping's (length, width,
-            thickness) in m under a foot's body. **This changes the dynamics**: the feet touch elsewhere, and
-            geoms after them have other numbers.
-        spec: The robot's description, if not that of ``unwrapped.fullpath``: a file, or a ``mujoco.MjSpec``,
-            with which the wrapper's own ``spec`` cannot be pickled or written as JSON.
+            rear-right, shape (4, 2), by the foot's body; by default they are in the sole's corners.
+        margin: Distance in m of cells in the corners from the sole's edges.
+        soles: ``True`` adds a flat sole under each foot that has no area. A mapping from bodies of feet to
+            (length, width, thickness) in m chooses the size. **This changes the dynamics**: the feet touch
+            elsewhere, and the numbers of later geoms change.
+        spec: The robot's description, by default the file ``unwrapped.fullpath``: a file, or a
+            ``mujoco.MjSpec``, but then the wrapper's own ``spec`` cannot be pickled or written as JSON.
         in_place: Whether to put sensors into the environment's model; None to decide.
-        visuals: Whether meshes that are only seen stay. They take most of a humanoid's memory; without them
-            boxes of their size are drawn. None for those that the environment draws (``render_mode``).
+        visuals: Whether to keep visual meshes, which take most of a humanoid's memory; otherwise boxes of
+            their size replace them. None keeps them if the environment is drawn (``render_mode``).
         prefix: The beginning of the names of added sites and sensors.
 
     Attributes:
-        truth: The feet's loads in each of the S substeps of the last control step, a row each; a single row
-            where it is computed beside the environment. After a reset all are of the state that it chose.
-        tells: Whether ``info`` has the truth; a wrapper that reads :attr:`truth` may save the time.
+        truth: The feet's loads in the S substeps of the last control step, one row each; a single row if it
+            is computed beside the environment. After a reset all rows are those of the initial state.
+        tells: Whether ``info`` contains the truth; a wrapper that reads :attr:`truth` may turn this off.
         drawing: The drawing by the robot's maker.
         joint_names: The hinge joints that encoders measure.
-        instrumentation: The instrumented description, which copies share; None for a model that was left
-            alone.
+        instrumentation: The instrumented description, which copies share; None if the model was left alone.
         untouched: Why the model was left alone; empty if it was not.
-        seldom: Whether only one of several substeps of a control step is read; calibrators then take feet for
-            noisier.
+        seldom: Whether only one of several substeps of a control step is read; calibrators then assume more
+            noise.
 
     Environments of dm_control, which hold their robot as ``unwrapped.physics``, are never changed: the same
     quantities are computed beside them.
@@ -77,8 +76,8 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
             foot without area, or the description is of another robot.
 
     Warns:
-        UserWarning: If the feet are read only once a control step of several substeps, though nobody asked
-            for that (``in_place=False``).
+        UserWarning: If the feet are read only once per control step of several substeps, unless that was
+            asked for (``in_place=False``), or if a step has more physics steps than expected.
     """
 
     def __init__(
@@ -287,7 +286,7 @@ def _number(value: Any) -> float:
 
 
 def _warn_of_aliasing(env: Any, reason: str, substeps: int) -> str:
-    """Say that feet are read too seldom."""
+    """Return the warning that the feet are read only once per control step."""
     return (
         f"The feet of {env} are read once a control step, at its end, and not in each of its {substeps} "
         f"substeps ({reason}): contact forces that change within a step are aliased; real sensors average."
@@ -297,7 +296,7 @@ def _warn_of_aliasing(env: Any, reason: str, substeps: int) -> str:
 def _describe(
     base: Any, foreign: bool, soles: Any, spec: str | Path | mujoco.MjSpec | None, in_place: bool | None
 ) -> mujoco.MjSpec | None:
-    """Return the description of an environment's robot, if there is one; refuse changes of what has none."""
+    """Return the description of an environment's robot, if any; refuse options that need one without it."""
     if foreign and (soles or in_place or spec is not None):
         raise ValueError(
             "'soles', 'spec' and 'in_place' change the model, which dm_control's physics cannot "
@@ -331,7 +330,7 @@ def _check_types(feet: Any, cells: Any, soles: Any) -> None:
 
 
 class _Physics:
-    """A robot that dm_control holds, as Gymnasium's environments hold theirs."""
+    """The robot of a dm_control environment, with the attributes of one of Gymnasium's environments."""
 
     def __init__(self, env: Any) -> None:
         self._env = env

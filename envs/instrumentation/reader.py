@@ -101,9 +101,9 @@ class SensorReader:
         return FeetTruth(rows, self._layout)
 
     def _after_other_step(self, rows: Floats, fresh: int) -> FeetTruth:
-        """Read a control step of another number of substeps: of fewer ones the first stands for those before.
+        """Read a control step with another number of substeps; the first one fills in for missing ones.
 
-        Time goes back where MuJoCo resets a simulation that has blown up.
+        Time goes back if MuJoCo resets a simulation that has diverged.
         """
         if fresh < 1:
             return self.now()
@@ -112,7 +112,7 @@ class SensorReader:
         return FeetTruth(rows, self._layout)
 
     def now(self) -> FeetTruth:
-        """Read the present state, of which a copy is evaluated, in each of S equal rows."""
+        """Evaluate a copy of the present state, and return it in S equal rows."""
         mujoco.mj_getState(self._model, self._data, self._state, _STATE)
         mujoco.mj_setState(self._model, self._scratch, self._state, _STATE)
         mujoco.mj_forward(self._model, self._scratch)
@@ -120,16 +120,16 @@ class SensorReader:
         return FeetTruth(np.tile(self._scratch_row, (self._samples, 1)), self._layout)
 
     def still(self) -> AbstractContextManager[None]:
-        """Leave the sensors out meanwhile, as a reset of the environment does not know them."""
+        """Return a context in which the sensors are disabled, because a reset must not notice them."""
         return sensors_off(self._model, self._first)
 
 
 class FeetReader:
-    """Reads the feet of a robot to which nothing may be added: neither its model nor its data is changed.
+    """Reads the feet of a robot without changing its model or its data.
 
-    The state and whatever acts on it are copied, the dynamics are evaluated there as ``mj_forward`` does, and
-    the contacts of the feet are summed; ankles follow from ``cfrc_int``. The same row comes out as from
-    sensors at that instant, for one evaluation of the dynamics more.
+    The state and the applied forces are copied, the dynamics of the copy are evaluated by ``mj_forward``, and
+    the contacts of each foot are summed. Loads of the ankles follow from ``cfrc_int``. The row equals that of
+    sensors at the same instant, at the cost of one more evaluation of the dynamics.
 
     Args:
         model: The robot; its numbers may change later.
