@@ -25,9 +25,6 @@ from scipy.special import ndtr, softmax
 CERTAIN = 0.9
 """Probability above which a cause is certain enough to refuse the data because of it."""
 
-LIKELY = 0.5
-"""Probability above which a cause is named, as it is likelier than all alternatives together."""
-
 _SHOWN = 0.999  # largest probability that a sentence states
 
 
@@ -93,8 +90,9 @@ class Diagnosis:
 
     @property
     def likely(self) -> Cause | None:
-        """The cause that is likelier than everything else together, or ``None``."""
-        return self.causes[0] if self.causes and self.causes[0].probability > LIKELY else None
+        """The likeliest cause, or ``None`` if an unknown one or none is likelier."""
+        best = self.causes[0] if self.causes else None
+        return best if best and best.probability > max(self.none, self.unknown) else None
 
     @property
     def is_certain(self) -> bool:
@@ -122,8 +120,9 @@ class Diagnosis:
 def diagnose(tried: Sequence[Tried], evidence: float, size: float, experience: Experience) -> Diagnosis:
     """Return the probability of each mistake that was tried.
 
-    ``evidence`` and ``size`` belong to the data as they are. Alternatives of one kind are counted by the
-    caller: subtract the logarithm of their number from the evidence of each.
+    ``evidence`` and ``size`` belong to the data as they are. The caller subtracts the logarithm of the number
+    of alternatives from the evidence of each. If errors of the model repeat, rows depend on each other, and
+    the caller weights their evidence accordingly.
     """
     p, q = experience.unknown, experience.mimicked
     share = softmax(np.array([evidence, *(one.evidence for one in tried)]))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.calibration import Parameters, Reference
+from surefoot.calibration.diagnosis import Mistake
 from surefoot.calibration.results import CalibrationRefused, Finding
 from surefoot.experiments.force_torque.log import InSituLog
 from surefoot.experiments.instrument.channels import (
@@ -31,11 +32,12 @@ from surefoot.experiments.study.tables import (
     sentence,
     span,
 )
+from surefoot.experiments.walking.agreement import compare_with_start
 from surefoot.experiments.walking.claims import Claims, claims_of, fit_claims, parts_of
-from surefoot.experiments.walking.hypotheses import Hypothesis
 from surefoot.experiments.walking.judge import HINT, SOUND, Judgement, judge_log, length_of
+from surefoot.experiments.walking.lateness import make_punctual
 from surefoot.experiments.walking.notices import motion_notices, weigh_feet
-from surefoot.experiments.walks.replay import foot_length_of, starting_map
+from surefoot.experiments.walks.replay import foot_length_of, replay_log, starting_map
 from surefoot.experiments.weights.calibrate import fit_cells, read_weighings
 from surefoot.experiments.weights.judge import Weighings, judge_weighings
 
@@ -101,8 +103,9 @@ def _judge_weighings(weighings: Weighings) -> Iterator[Wrong]:
 def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
     if not any(np.ptp(raw[np.isfinite(raw)]) > 0.0 for raw in log.raw.T if np.isfinite(raw).any()):
         return  # its channels say so
+    length: dict[str, float] = {}
     try:
-        foot_length_of(log, recording.file)
+        length = foot_length_of(log, recording.file)
     except LogError as error:
         yield Wrong(Finding("unreadable", sentence(str(error).removeprefix(f"{recording.file}: "))))
     initial = starting_map(log)
@@ -121,15 +124,19 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
     named = (one for one in (*late, verdict) if one.findings and one.findings[0].contradicts)
     clear = next(named, verdict)
     if row and clear.findings[0].contradicts:
-        row = _onset(claims_of(log, initial, length_of(log)), clear.explanations[0].hypothesis, row, size)
+        row = _onset(claims_of(log, initial, length_of(log)), clear.causes[0].mistake, row, size)
     since = f"about {say_time(round(log.time[row], 2))}" if row else "all along"
     for one in clear.findings:
         yield Wrong(one, since, settling_motion(one.name))
+    if not any(one.refuses for one in clear.findings):
+        punctual = make_punctual(log, verdict.lateness.seconds)
+        estimate = replay_log(punctual, "moment", initial, **length)
+        yield from map(Wrong, compare_with_start(punctual, initial, estimate, verdict.findings))
 
 
-def _onset(claims: Claims, hypothesis: Hypothesis, row: int, size: int) -> int:
+def _onset(claims: Claims, mistake: Mistake, row: int, size: int) -> int:
     """Return the row around a part's first from which on undoing a mistake mends a log best."""
-    undone = hypothesis.undo(claims)
+    undone = mistake.undo(claims)
     if undone.initial is not claims.initial or undone.wrench_map is not claims.wrench_map:
         return row  # nothing that a log's rows hold
     rows = np.arange(max(row - size, 1), row + 2 * size, max(round(ONSET / claims.dt), 1))
@@ -150,10 +157,10 @@ def _first_bad(log: Log, initial: Parameters, verdict: Judgement) -> int:
     claims = claims_of(log, initial, length_of(log))
     fits = [fit_claims(part) for part in parts_of(claims, PARTS)]
     bad = [fit.rows > 0 and fit.worst > SOUND for fit in fits]
-    mended = [one for one in verdict.explanations if one.hypothesis.kind == verdict.findings[0].name]
+    mended = [one for one in verdict.causes if one.mistake.kind == verdict.findings[0].name]
     if mended:
         # A part that fits as well with a mistake undone, as standing does with most, does not tell.
-        undone = [fit_claims(part).evidence for part in parts_of(mended[0].hypothesis.undo(claims), PARTS)]
+        undone = [fit_claims(part).evidence for part in parts_of(mended[0].mistake.undo(claims), PARTS)]
         bad = [fit.evidence < other + np.log(HINT) for fit, other in zip(fits, undone, strict=True)]
     first = bad.index(True) if True in bad else 0
     return round(first * (len(log) - log.lag) / PARTS)

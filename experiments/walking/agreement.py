@@ -5,19 +5,25 @@ The feet's total and centre of pressure against those that mass, joints and IMU 
 motion is right or not: agreement is not truth.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Floats, take_rows
-from surefoot.calibration import Reference, ground_reference, zero_phase
+from surefoot.calibration import Estimate, Parameters, Reference, ground_reference, zero_phase
+from surefoot.calibration.comparison import INDEPENDENT, SURE, Residuals, evidence_for_start
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments, level_moments, sole_wrenches
+from surefoot.calibration.results import Finding
 from surefoot.experiments.logs.format import MAX_GAP, Log
+from surefoot.experiments.walking.claims import AIR, BLOCK, COM, COP, FORCE, MASS, claims_of, ground_rows
 from surefoot.experiments.walks.score import rms
 
 LARGEST = 1e6  # magnitude in any unit of references that calibrators leave out
 CUTOFF = 10.0  # cutoff of the filter that both sides pass, in Hz
+AHEAD = 1.0  # time in s between the last sample that a map was learnt from and the sample it is tested on
+SLACK = 2.0  # standard deviations of the robot's mass and centre of mass that no map is blamed for
 
 
 class Ground(NamedTuple):
@@ -59,6 +65,94 @@ def agreement(one: Ground, other: Ground, settle: float = 0.0) -> Agreement:
         return Agreement(np.nan, np.nan, 0)
     place = np.linalg.norm((one.cop - other.cop)[counted], axis=-1)
     return Agreement(rms((one.vgrf - other.vgrf)[counted]), rms(place), int(counted.sum()))
+
+
+class _Quantity(NamedTuple):
+    """A quantity by which maps are compared: residuals in rows that neither was learnt from."""
+
+    name: str
+    factor: float  # of the unit in messages
+    unit: str
+    slack: float  # constant residual that errors of the robot's model explain
+    floor: float  # standard deviation of the noise of a row
+    learnt: Floats  # shape (n, C)
+    start: Floats
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of how much likelier the rows are by the start than by the learnt map."""
+        count, components = self.start.shape
+        if count == 0:
+            return 0.0
+        sides, ones = (Residuals.of(self.learnt), Residuals.of(self.start)), np.ones(components)
+        return evidence_for_start(
+            *sides, self.slack * ones, self.floor**2 * ones, count * BLOCK / INDEPENDENT
+        )
+
+    def __str__(self) -> str:
+        """Root mean squares by the learnt map and by the start."""
+        if len(self.start) == 0:
+            return ""
+        learnt, start = (
+            self.factor * np.sqrt(np.square(side).sum(axis=1).mean()) for side in (self.learnt, self.start)
+        )
+        return f"{self.name} {learnt:.3g} {self.unit} (start {start:.3g} {self.unit})"
+
+
+def compare_with_start(
+    log: Log, initial: Parameters, estimate: Estimate, noticed: Sequence[Finding] = ()
+) -> list[Finding]:
+    """Return a finding if the learnt map agrees worse with the motion than the map it started from.
+
+    A sample is tested by the map of :data:`AHEAD` s earlier, which was not learnt from it, in the second half
+    of the log. What was ``noticed`` about the log may be the reason, and is repeated.
+    """
+    found = _quantities(log, initial, estimate)
+    evidence = max(one.evidence for one in found)
+    if evidence < SURE:
+        return []
+    reason = (
+        "The learnt map agrees with the robot's motion worse than the map that it started from, by samples "
+        f"that neither was learnt from: {', '.join(filter(None, map(str, found)))}."
+    )
+    cure = "Keep the starting map, and check mass, joints, IMU and clocks, or record another walk."
+    reason = " ".join([reason, *(one.reason for one in noticed if not one.refuses)])
+    return [Finding("worse than the start", reason, cure, evidence, SURE)]
+
+
+def _quantities(log: Log, initial: Parameters, estimate: Estimate) -> list[_Quantity]:
+    """Return the residuals of vertical force, centre of pressure and forces on swinging feet."""
+    claims = claims_of(log, initial, 1.0)
+    half, count = len(log) // 2, len(claims.raw)
+    at = np.maximum(np.arange(count) - max(round(AHEAD / log.dt), 1), 0)
+    learnt = np.asarray(estimate.scale)[at] * claims.raw + np.asarray(estimate.offset)[at]
+    columns, asked = ground_rows(claims)
+    swing = claims.reference.swing
+    in_air = columns[:, 0] * swing[:, log.layout.foot_of_channel]
+    sides = []
+    for force in (learnt, claims.force):
+        ground = np.einsum("nck,nk->nc", columns[:, :3], force) / claims.weight - asked[:, :3]
+        air = (in_air * force).sum(axis=1, keepdims=True) / claims.weight
+        ground[swing.all(axis=1)], air[~swing.any(axis=1)] = np.nan, np.nan
+        sides.append([_block_means(part[half:], log.dt) for part in (ground[:, 1:], ground[:, :1], air)])
+    named = (
+        ("centre of pressure", 1e3, "mm", COM, COP),
+        ("force", 100.0, "% of the weight", MASS, FORCE),
+        ("feet in the air", 100.0, "% of the weight", 0.0, AIR),
+    )
+    found = []
+    for (name, factor, unit, slack, floor), *rows in zip(named, *sides, strict=True):
+        kept = np.isfinite(rows[0] + rows[1]).all(axis=1)
+        found.append(_Quantity(name, factor, unit, SLACK * slack, floor, *(side[kept] for side in rows)))
+    return found
+
+
+def _block_means(rows: Floats, dt: float) -> Floats:
+    """Return means over blocks, shape (n, C); NaN where a sample is missing."""
+    size = max(round(BLOCK / dt), 1)
+    count = len(rows) // size
+    means: Floats = rows[: count * size].reshape(count, size, -1).mean(axis=1)
+    return means
 
 
 def _late_references(log: Log) -> Reference:

@@ -1,6 +1,7 @@
 """Calibrate one log by one method, and write the result: a table, the last parameters and a page."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 import surefoot
 from surefoot.arrays import take_rows
 from surefoot.calibration import Estimate, Parameters
+from surefoot.calibration.results import Finding
 from surefoot.calibration.setup import method_name
 from surefoot.experiments.logs.checks import pass_or_refuse
 from surefoot.experiments.logs.columns import channel_slugs
@@ -22,7 +24,9 @@ from surefoot.experiments.logs.format import MAX_GAP, Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, flat
+from surefoot.experiments.walking.agreement import compare_with_start
 from surefoot.experiments.walking.judge import judge_log
+from surefoot.experiments.walking.lateness import PUNCTUAL, Lateness, make_punctual
 from surefoot.experiments.walking.notices import check_weight, log_notices, result_notices
 from surefoot.experiments.walking.page import write_walking_page
 from surefoot.experiments.walking.ros2 import parameters_of_log, write_node_parameters
@@ -98,10 +102,16 @@ def calibrate_log(
         raise LogError(
             f"{file}: --zero-phase filters across the gaps that --split-gaps lets through; use one of them."
         )
-    notices = (*_judge(log, start, initial, file, accept), *log_notices(log, file))
+    check_weight(log, start, initial, file)
+    alone = bool(log.about.get("feet_alone"))
+    findings, late = ((), PUNCTUAL) if alone else _judge(log, initial)
+    notices = (*_pass_or_refuse(findings, accept, file), *log_notices(log, file))
+    log = make_punctual(log, late.seconds)
     watch = partial(each, "calibrating")
     weights = standing_weights(log, initial, stand) if stand else {}
     estimate = replay_log(log, method, initial, zero_phase=zero_phase, watch=watch, **options, **weights)
+    worse = [] if alone else compare_with_start(log, initial, estimate, findings)
+    notices += _pass_or_refuse(worse, accept, file)
     notices += result_notices(log, method, initial, estimate, file)
     node: dict[str, Any] = {}
     if ros2:
@@ -120,16 +130,15 @@ def calibrate_log(
     return CalibratedLog(walk, parameters, page, tables, notices, written)
 
 
-def _judge(log: Log, start: str, initial: Parameters, file: str, accept: str) -> tuple[str, ...]:
-    """Return notices of contradictions in a log, or refuse it."""
-    check_weight(log, start, initial, file)
-    if log.about.get("feet_alone"):
-        return ()
+def _judge(log: Log, initial: Parameters) -> tuple[tuple[Finding, ...], Lateness]:
     with working("judging the log"):
-        findings = judge_log(log, initial).findings
+        judged = judge_log(log, initial)
+    return judged.findings, judged.lateness
+
+
+def _pass_or_refuse(findings: Sequence[Finding], accept: str, file: str) -> tuple[str, ...]:
+    """Return notices of findings, or raise CalibrationRefused."""
     passed, weaker = pass_or_refuse(findings, accept, file, "every file")
-    if accept and not passed:
-        passed = ("Nothing was refused, so that no reason was needed to go on.",)
     return passed + weaker
 
 

@@ -74,6 +74,12 @@ class Fit(NamedTuple):
     scales: Floats  # of residuals in those of a sound log: force, centre of pressure, in the air; shape (3,)
     map: Parameters  # a and b of F = a F0 + b, b in weights; the median over windows
     rows: int  # blocks that were used
+    counted: float = 0.0  # number of independent rows
+
+    @property
+    def size(self) -> float:
+        """Geometric mean of the residuals in those assumed, with the costs of changing the map."""
+        return float(np.exp(-self.evidence / max(self.counted, 1.0)))
 
     @property
     def worst(self) -> float:
@@ -147,7 +153,8 @@ def fit_parts(parts: Sequence[Claims], without: int | None = None, widths: Seque
     middle = [np.median(values, axis=0) for values in zip(*((p.scales, *p.map) for p in found), strict=True)]
     evidence, rows = float(sum(part.evidence for part in found)), sum(part.rows for part in found)
     evidence += ABSURD * _legs_cross(parts[0].reference)
-    return Fit(evidence, middle[0], Parameters(*middle[1:]), rows)
+    counted = sum(part.counted for part in found)
+    return Fit(evidence, middle[0], Parameters(*middle[1:]), rows, counted)
 
 
 def condense(claims: Claims) -> list[Claims]:
@@ -212,7 +219,7 @@ def _condense(claims: Claims) -> Claims:
 
 def _rows(claims: Claims, without: int | None = None) -> _Rows:
     """Write the rows of blocks; unknowns are a and b of K channels, the centre of mass and the mass."""
-    columns, asked = _ground(claims)
+    columns, asked = ground_rows(claims)
     force, swing = claims.force, claims.reference.swing
     # Where all feet are in the air nobody knows what else bears the robot.
     stands = ~swing.all(axis=1)
@@ -233,8 +240,8 @@ def _rows(claims: Claims, without: int | None = None) -> _Rows:
     return _Rows(H, np.concatenate([y.ravel(), y_air]), kinds, len(force))
 
 
-def _ground(claims: Claims) -> tuple[Floats, Floats]:
-    """Rows by a newton on each channel, and their values that the motion requires.
+def ground_rows(claims: Claims) -> tuple[Floats, Floats]:
+    """Return rows by a newton on each channel, and their values that the motion requires.
 
     Rows are the vertical force in weights, both moments below the centre of mass in weights times m, and, if
     every foot sees them, the horizontal forces: (N, rows, K) and (N, rows).
@@ -305,4 +312,5 @@ def _fit_with(rows: _Rows, claims: Claims, width: float) -> Fit:
     evidence = float(share * likelihood.sum() - 0.5 * u @ u - 0.5 * np.linalg.slogdet(information)[1])
     theta = start + std * u
     evidence += ABSURD * float((theta[:K] < 0.0).sum())
-    return Fit(evidence, s * (number > 0), Parameters(theta[:K], theta[K : 2 * K]), rows.blocks)
+    found = Parameters(theta[:K], theta[K : 2 * K])
+    return Fit(evidence, s * (number > 0), found, rows.blocks, share * len(r))

@@ -8,44 +8,34 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import combinations, permutations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from surefoot.arrays import Floats, take_rows
 from surefoot.calibration import GRAVITY, FeetLayout, Parameters, Reference
+from surefoot.calibration.diagnosis import Mistake
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walking.claims import Claims
 
-DELAY, JOINT = "feet late or early", "joint sign"
+JOINT = "joint sign"
 ORDERS = ("feet exchanged", "cells exchanged", "cells in another order")
 """Kinds by which readings come from other channels."""
 
-LATEST, STEP = 0.5, 0.025  # longest delay in s that is tried, and the step between two
-LEAST = 0.05  # delay in s from which on one is a mistake; below it a filter finds it
 POUND = 0.45359237  # in kg
 _TURN = "turn the signs of scale_N_per_count and offset_N round"
 ANYWHERE = 0.1  # std in m of a centre of mass of which nothing is known but the robot
 
 
-class Hypothesis(NamedTuple):
-    """One mistake."""
-
-    kind: str  # for tables and tests
-    cause: str  # the mistake, as a clause
-    cure: str  # as a clause
-    undo: Callable[[Claims], Claims]  # changes claims to those without the mistake
-
-
-def hypotheses(layout: FeetLayout) -> Iterator[Hypothesis]:
+def hypotheses(layout: FeetLayout) -> Iterator[Mistake]:
     """Yield every mistake that is tried on a log with this layout."""
     for of_layout in (_wiring, _orders, _signs, _sizes):
         yield from of_layout(layout)
-    for of_motion in (_times, _accelerations, _places):
+    for of_motion in (_accelerations, _places):
         yield from of_motion()
 
 
-def pulling_hypotheses(claims: Claims, layout: FeetLayout) -> Iterator[Hypothesis]:
+def pulling_hypotheses(claims: Claims, layout: FeetLayout) -> Iterator[Mistake]:
     """Yield every mistake by which feet seem to pull the ground.
 
     Offsets that were read in the air are those of loaded cells if the foot was another one, or stood: they
@@ -53,13 +43,13 @@ def pulling_hypotheses(claims: Claims, layout: FeetLayout) -> Iterator[Hypothesi
     """
     cause = "all channels have the other sign"
     turned = partial(_multiply, factor=-np.ones(layout.channels))
-    signs = Hypothesis("sign of channels", cause, f"{_TURN}: standing is positive", turned)
+    signs = Mistake("sign of channels", cause, f"{_TURN}: standing is positive", turned)
     if not claims.reference.swing.any():
         yield signs
         return
     own = "offset_N are not those of these channels"
     cure = "leave out offset_N, which is then read while a foot swings"
-    for one in (signs, Hypothesis("offset", own, cure, lambda claims: claims), *_wiring(layout)):
+    for one in (signs, Mistake("offset", own, cure, lambda claims: claims), *_wiring(layout)):
         yield one._replace(undo=partial(_read_offsets, undo=one.undo))
 
 
@@ -74,10 +64,10 @@ def _read_offsets(claims: Claims, undo: Callable[[Claims], Claims]) -> Claims:
     return replace(undone, initial=Parameters(scale, offset))
 
 
-def joint_hypotheses(log: Log) -> Iterator[Hypothesis]:
+def joint_hypotheses(log: Log) -> Iterator[Mistake]:
     """Yield a wrong sign of each joint of a log whose references were made of joints."""
     for name, make in log.turned.items():
-        yield Hypothesis(
+        yield Mistake(
             JOINT,
             f"the joint '{name}' has the other sign",
             f"turn the sign of column 'joint_{name}_rad' round",
@@ -90,30 +80,30 @@ def _remake(claims: Claims, make: Callable[[], Reference]) -> Claims:
     return replace(claims, reference=take_rows(make(), slice(late, None)))
 
 
-def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:
+def _wiring(layout: FeetLayout) -> Iterator[Mistake]:
     sizes = [foot.channels for foot in layout.feet]
     if len(sizes) == 2:
         first, second = (foot.name for foot in layout.feet)
         if sizes[0] == sizes[1]:
-            yield Hypothesis(
+            yield Mistake(
                 "feet exchanged",
                 f"the readings of the {first} and of the {second} foot are exchanged",
                 "exchange their plugs or their columns",
                 partial(_order, order=np.roll(np.arange(layout.channels), sizes[0])),
             )
-        yield Hypothesis(
+        yield Mistake(
             "contacts exchanged",
             f"the contacts of the {first} and of the {second} foot are exchanged",
             f"exchange the columns reference_{first}_stance, _swing and reference_{second}_stance, _swing",
             partial(_believe, change=_exchange_contacts),
         )
-        yield Hypothesis(
+        yield Mistake(
             "references mirrored",
             "the references are mirrored: y points to the right in them",
             "give level axes of which y points to the left (x ahead, z up)",
             partial(_believe, change=_mirror),
         )
-    yield Hypothesis(
+    yield Mistake(
         "stance and swing exchanged",
         "stance and swing are exchanged: feet that are surely in the air bear the weight",
         "exchange the columns '..._stance' and '..._swing'",
@@ -121,7 +111,7 @@ def _wiring(layout: FeetLayout) -> Iterator[Hypothesis]:
     )
 
 
-def _orders(layout: FeetLayout) -> Iterator[Hypothesis]:
+def _orders(layout: FeetLayout) -> Iterator[Mistake]:
     """Yield other orders of channels: two exchanged, or the cells of a foot in any order."""
     names = [name.replace("/", " ") for name in layout.channel_names]
     sizes = [foot.channels for foot in layout.feet]
@@ -129,7 +119,7 @@ def _orders(layout: FeetLayout) -> Iterator[Hypothesis]:
     for i, j in combinations(plain, 2):
         order = plain.copy()
         order[[i, j]] = j, i
-        yield Hypothesis(
+        yield Mistake(
             "cells exchanged",
             f"the channels '{names[i]}' and '{names[j]}' are exchanged",
             "exchange their plugs or their columns",
@@ -149,7 +139,7 @@ def _orders(layout: FeetLayout) -> Iterator[Hypothesis]:
                 order[where[foot]] = where[foot].start + np.array(one)
             of = "both feet" if len(feet) == 2 else f"the {layout.feet[feet[0]].name} foot"
             there = [layout.feet[feet[0]].channel_names[i] for i in one]
-            yield Hypothesis(
+            yield Mistake(
                 "cells in another order",
                 f"the cells of {of} are in another order: the columns hold {', '.join(there)}",
                 "name the columns, or order the cells of the layout, as they are plugged",
@@ -157,7 +147,7 @@ def _orders(layout: FeetLayout) -> Iterator[Hypothesis]:
             )
 
 
-def _signs(layout: FeetLayout) -> Iterator[Hypothesis]:
+def _signs(layout: FeetLayout) -> Iterator[Mistake]:
     names = layout.channel_names
     groups: dict[str, Sequence[int]] = {
         f"the channel '{name.replace('/', ' ')}' has": [i] for i, name in enumerate(names)
@@ -170,10 +160,10 @@ def _signs(layout: FeetLayout) -> Iterator[Hypothesis]:
         factor = np.ones(layout.channels)
         factor[list(channels)] = -1.0
         cause = f"{whose} the other sign"
-        yield Hypothesis("sign of channels", cause, _TURN, partial(_multiply, factor=factor))
+        yield Mistake("sign of channels", cause, _TURN, partial(_multiply, factor=factor))
 
 
-def _sizes(layout: FeetLayout) -> Iterator[Hypothesis]:
+def _sizes(layout: FeetLayout) -> Iterator[Mistake]:
     large = "times as large as they should be"
     for factor, text in (
         (2.0, "64 in place of 128"),
@@ -182,19 +172,19 @@ def _sizes(layout: FeetLayout) -> Iterator[Hypothesis]:
     ):
         cause = f"all forces are {1 / factor:g} {large}: the amplifiers' gain is {text}"
         cure = f"multiply scale_N_per_count by {factor:g} and give the offsets that belong to it"
-        yield Hypothesis("gain", cause, cure, partial(_multiply, factor=np.full(layout.channels, factor)))
+        yield Mistake("gain", cause, cure, partial(_multiply, factor=np.full(layout.channels, factor)))
     for factor, cause, cure in (
         (POUND, "mass_kg is in pounds", f"multiply it by {POUND:.4g}"),
         (1.0 / POUND, "mass_kg is too small by the factor of pounds in a kilogram, 2.205", "weigh the robot"),
     ):
-        yield Hypothesis("mass", cause, cure, partial(_weigh, factor=factor))
+        yield Mistake("mass", cause, cure, partial(_weigh, factor=factor))
     for foot, where in zip(layout.feet, layout.slices, strict=True) if len(layout.feet) == 2 else ():
         for factor in (2.0, 0.5):
             each = np.ones(layout.channels)
             each[where] = factor
             cause = f"the forces of the {foot.name} foot are {1 / factor:g} {large}"
             cure = f"multiply its scale_N_per_count by {factor:g} and give the offsets that belong to it"
-            yield Hypothesis("gain of one foot", cause, cure, partial(_multiply, factor=each))
+            yield Mistake("gain of one foot", cause, cure, partial(_multiply, factor=each))
     measure = "measure the cells' places"
     for factor, text, cure in (
         (0.001, "in millimetres", "multiply it by 0.001"),
@@ -204,26 +194,14 @@ def _sizes(layout: FeetLayout) -> Iterator[Hypothesis]:
         (0.5, "twice as large as the foot", measure),
     ):
         cause = f"position_cell_sole_m is {text}"
-        yield Hypothesis("layout in other units", cause, cure, partial(_place, factor=factor))
+        yield Mistake("layout in other units", cause, cure, partial(_place, factor=factor))
     for axis, text in ((0, "x points back"), (1, "y points to the right")):
         cause = f"the layout is mirrored: {text} in position_cell_sole_m"
         cure = "give places in the sole frame (x ahead, y to the left)"
-        yield Hypothesis("layout mirrored", cause, cure, partial(_reflect, axis=axis))
+        yield Mistake("layout mirrored", cause, cure, partial(_reflect, axis=axis))
 
 
-def _times() -> Iterator[Hypothesis]:
-    steps = np.arange(LEAST, LATEST + STEP / 2, STEP)
-    for delay in (*-steps[::-1], *steps):
-        side = "late" if delay > 0.0 else "early"
-        yield Hypothesis(
-            DELAY,
-            f"the readings of the feet are about {abs(delay):.3g} s {side} against the references",
-            "give both on one clock, and lag_samples or motion.delay_s",
-            partial(_shift, delay=float(delay)),
-        )
-
-
-def _accelerations() -> Iterator[Hypothesis]:
+def _accelerations() -> Iterator[Mistake]:
     """Yield wrong accelerations, each as a linear map of vectors: gravity g is added before or after."""
     one, no, g = np.eye(3), np.zeros(3), np.array([0.0, 0.0, GRAVITY])
     named = "columns 'reference_com_acceleration_...'"
@@ -253,16 +231,16 @@ def _accelerations() -> Iterator[Hypothesis]:
                                   ("x, y and z are", (-1, -1, -1)))]  # fmt: skip
     for kind, cause, cure, A, before, after in (*accelerations, *turns):
         change = partial(_accelerate, A=np.asarray(A, dtype=float), before=before, after=after)
-        yield Hypothesis(kind, cause, cure, partial(_believe, change=change))
+        yield Mistake(kind, cause, cure, partial(_believe, change=change))
 
 
-def _places() -> Iterator[Hypothesis]:
+def _places() -> Iterator[Mistake]:
     """Yield mistakes of the centre of mass, alone or together with its acceleration."""
     com = "the centre of mass"
     for angle, R in ((90, _QUARTER), (-90, _QUARTER.T), (180, np.diag([-1.0, -1.0, 1.0]))):
         cause = f"centre of mass and acceleration are turned by {angle} degrees against the soles"
         cure, turn = "give all references in one level frame", partial(_turn, R=R)
-        yield Hypothesis("references turned", cause, cure, partial(_believe, change=turn))
+        yield Mistake("references turned", cause, cure, partial(_believe, change=turn))
     exchanged, no = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]), np.zeros(3)
     columns, axes, sign = "exchange the columns of x and y", "axes exchanged", f"{com} has the other sign"
     mirrored, units = "centre of mass mirrored", "centre of mass in other units"
@@ -279,9 +257,10 @@ def _places() -> Iterator[Hypothesis]:
         (units, f"{named} centimetres", "divide them by 100", partial(_place_com, A=np.eye(3) / 100)),
     )  # fmt: skip
     for kind, cause, cure, change in places:
-        yield Hypothesis(kind, cause, cure, partial(_believe, change=change))
-    cause, cure = f"{com} is not where the references say", "see in which frame it is, and from which origin"
-    yield Hypothesis("centre of mass off", cause, cure, partial(replace, com_std=ANYWHERE))
+        yield Mistake(kind, cause, cure, partial(_believe, change=change))
+    cause = "the centre of mass, or the cells' places, are given from another origin than the soles"
+    cure = "check position_cell_sole_m (from the point below the ankle), and the frame of the centre of mass"
+    yield Mistake("centre of mass off", cause, cure, partial(replace, com_std=ANYWHERE))
 
 
 _QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
@@ -311,16 +290,6 @@ def _reflect(claims: Claims, axis: int) -> Claims:
     reflected = claims.wrench_map.copy()
     reflected[:, 4 - axis] *= -1.0
     return replace(claims, wrench_map=reflected)
-
-
-def _shift(claims: Claims, delay: float) -> Claims:
-    k = round(delay / claims.dt)
-    raw = np.full_like(claims.raw, np.nan)
-    if k > 0:
-        raw[:-k] = claims.raw[k:]
-    elif k < 0:
-        raw[-k:] = claims.raw[:k]
-    return replace(claims, raw=raw)
 
 
 def _believe(claims: Claims, change: Callable[[Reference], Reference]) -> Claims:
