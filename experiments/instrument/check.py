@@ -34,7 +34,7 @@ from surefoot.experiments.study.tables import (
 )
 from surefoot.experiments.walking.agreement import compare_with_start
 from surefoot.experiments.walking.claims import Claims, claims_of, fit_claims, parts_of
-from surefoot.experiments.walking.judge import HINT, SOUND, Judgement, judge_log, length_of
+from surefoot.experiments.walking.judge import BROKEN, HINT, SOUND, Judgement, judge_log, length_of
 from surefoot.experiments.walking.lateness import make_punctual
 from surefoot.experiments.walking.notices import motion_notices, weigh_feet
 from surefoot.experiments.walks.replay import foot_length_of, replay_log, starting_map
@@ -71,7 +71,11 @@ def check_log(path: Path, topics: Path | None = None) -> Checked:
         then("looking at the channels")
         facts = facts_of(recording)
         then("judging the log")
-        wrong = [*_judge(recording, path), *find_wrong(recording, facts)]
+        channels, judged = list(find_wrong(recording, facts)), list(_judge(recording, path))
+        if any(one.finding.refuses for one in channels):
+            # A channel that is wrong by itself explains why it does not go with the others.
+            judged = [one for one in judged if one.finding.name != BROKEN]
+        wrong = [*judged, *channels]
     return Checked(recording, facts, tuple(sorted(wrong, key=lambda one: not one.finding.refuses)))
 
 

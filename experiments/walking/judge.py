@@ -42,9 +42,9 @@ from surefoot.experiments.walking.lateness import PUNCTUAL, Lateness, measure_la
 
 EXPERIENCE = Experience(unknown=0.3, mimicked=0.05, size=0.72, spread=0.25)
 """Measured with ``benchmarks/spoilt_logs.py``: 53 sound logs of six robots leave residuals of 0.57 to 1.18.
-With the kind of the mistake taken off the list, 5 of 88 spoilt logs were mimicked down to the median of sound logs,
-by a mistake that has the same effect. The share of spoilt logs with a mistake that is not on the list is a
-guess: none of the old collection, and five in six of a stranger's.
+With the kind of the mistake taken off the list, 5 of 88 spoilt logs were mimicked down to the median of sound
+logs, by a mistake that has the same effect. The share of spoilt logs with a mistake that is not on the list
+is a guess: none of the old collection, and five in six of a stranger's.
 """
 
 WEIGHT = 0.25
@@ -84,21 +84,19 @@ def judge_log(log: Log, initial: Parameters) -> Judgement:
     far = _check_layout(log)
     # Matrices are small: threads would cost more than they bring.
     with threadpool_limits(limits=1, user_api="blas"):
-        claims = claims_of(log, initial, length_of(log))
-        plain = fit_parts(condense(claims))
-        if plain.rows == 0:
+        written = claims_of(log, initial, length_of(log))
+        if (plain := fit_parts(condense(written))).rows == 0:
             return Judgement(tuple(far), (), plain)
-        tried = list(hypotheses(log.layout))
-        fitted = _fit_mistakes(claims, tried)
-        late = _find_lateness(claims, fitted)
-        if late.seconds:
-            claims = shift(claims, late.seconds)
-            plain, fitted = fit_parts(condense(claims)), _fit_mistakes(claims, tried)
+        late, claims, fitted = _fit_in_time(written, list(hypotheses(log.layout)))
+        plain = fit_parts(condense(claims)) if late.seconds else plain
         others = _fit_troubles(claims, raw_names_of(log.layout))
         diagnosis = _diagnose(plain, fitted, others)
         # A joint's sign takes its time: all references are made again.
         if log.turned and diagnosis.none < 0.5 and not diagnosis.is_certain:
-            fitted += _fit_mistakes(claims, list(joint_hypotheses(log)))
+            found_late, found_claims, joints = _fit_in_time(written, list(joint_hypotheses(log)))
+            if joints[0].fit.evidence > fitted[0].fit.evidence:
+                late, claims = found_late, found_claims
+            fitted += joints
             diagnosis = _diagnose(plain, fitted, others)
         found = _decide(claims, plain, diagnosis)
     if far and found and found[0].contradicts:
@@ -168,13 +166,18 @@ def _fit_mistakes(claims: Claims, tried: list[Mistake]) -> list[_Fitted]:
     return sorted(fitted, key=lambda one: -one.fit.evidence)
 
 
-def _find_lateness(claims: Claims, fitted: list[_Fitted]) -> Lateness:
-    """Return how late readings are, by the log as it is or without its likeliest mistake."""
+def _fit_in_time(claims: Claims, tried: list[Mistake]) -> tuple[Lateness, Claims, list[_Fitted]]:
+    """Fit a log without each mistake, at the lateness of the likeliest one or of the log as it is."""
+    fitted = _fit_mistakes(claims, tried)
     best = fitted[0].mistake
     alone, both = measure_lateness(claims), measure_lateness(claims, best.undo)
     plain = fit_parts(condense(shift(claims, alone.seconds)))
     mended = fit_parts(condense(best.undo(shift(claims, both.seconds))))
-    return both if mended.evidence > plain.evidence else alone
+    late = both if mended.evidence > plain.evidence else alone
+    if not late.seconds:
+        return late, claims, fitted
+    claims = shift(claims, late.seconds)
+    return late, claims, _fit_mistakes(claims, tried)
 
 
 def _fit_troubles(claims: Claims, columns: list[str]) -> list[_Fitted]:

@@ -55,13 +55,13 @@ class CalibratedCells:
             "offset (N)": lambda i: decimal(fit.value.offset[i], ".5f"),
             "curve": lambda i: NOTHING if (one := shapes[i].curve) is None else one.shape,
             "hysteresis (% of full scale)": lambda i: (
-                NOTHING if (one := shapes[i].memory) is None else with_deviation(*percents(one))
+                with_deviation(*percents(one)) if (one := shapes[i].loop) else NOTHING
             ),
             "residual rms (mN)": lambda i: number(1e3 * fit.stats[i].residual_rms),
         }
         if not self.curves.any:
             del columns["curve"]
-        if not any(one.memory for one in shapes):
+        if not any(one.loop for one in shapes):
             del columns["hysteresis (% of full scale)"]
         more = ", of counts that the curve makes straight" if self.curves.any else ""
         return table_of("weighings", f"F = scale · count + offset{more}", columns, range(len(self.names)))
@@ -84,7 +84,7 @@ def fit_weighings(path: Path, out: Path, accept: str = "") -> CalibratedCells:
     names = names_of_cells(weighings)
     judged = judge_weighings(weighings)
     passed, weaker = pass_or_refuse(judged.findings, accept, path.name, "the map")
-    bent, memory = zip(*judged.shapes, strict=True)
+    bent, memory = [one.curve for one in judged.shapes], [one.loop for one in judged.shapes]
     try:
         curves, fit, std = fit_cells(weighings, judged)
     except CalibrationRefused as refusal:

@@ -6,7 +6,7 @@ labels are exchanged, or one label is another load: its likelihood gains n ln(s 
 residuals falls from s to s', over all cells.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -19,6 +19,7 @@ from scipy.stats import theilslopes
 
 from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY
+from surefoot.calibration.diagnosis import Experience, Mistake, Tried, diagnose
 from surefoot.calibration.reference import look_like_newtons
 from surefoot.calibration.results import Finding
 from surefoot.calibration.weights.curves import LEAST, CurveFit, Curves, fit_curve
@@ -28,6 +29,14 @@ from surefoot.experiments.weights.loop import LEAST as LEAST_LOOP
 from surefoot.experiments.weights.loop import Memory, memory_of
 
 ODDS = 1e6  # from which on a mistake is named
+EXPERIENCE = Experience(unknown=0.3, mimicked=0.02, size=1.0, spread=0.4)
+"""Residuals in those of repeated readings: bent cells and loops leave up to twice as much. Prior odds are
+those of walks (:mod:`surefoot.experiments.walking.judge`). Labels and jumps hardly mimic each other."""
+
+DRIFTED = 0.02  # drift as a share of the span of loads above which a scale that takes it in is refused
+EXCHANGED = "labels exchanged"
+JUMP = 0.1  # jump of a zero as a share of the span of readings below which it may be hysteresis or drift
+FEWEST = 6  # readings of a cell in which a jump of its zero can be seen
 MOST = 0.25  # share of a cell's readings that may be left out
 NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
 TAIL = 3.0  # degrees of freedom of Student's t
@@ -80,6 +89,11 @@ class Shape(NamedTuple):
     curve: CurveFit | None
     memory: Memory | None
 
+    @property
+    def loop(self) -> Memory | None:
+        """The memory if it shows how much hysteresis there is."""
+        return self.memory if self.memory and np.isfinite(self.memory.hysteresis_std) else None
+
 
 class Judged(NamedTuple):
     """A judged table of weighings."""
@@ -95,7 +109,7 @@ def judge_weighings(table: Weighings) -> Judged:
     table, given = replace(table, code=np.where(out, np.nan, table.code)), table
     lines: list[Line | None] = [_fit(table.load, code) for code in table.code.T]
     found: list[Finding] = [*_check_units(table, lines)]
-    label = _check_labels(table, lines)
+    label = _check_mistakes(table, lines)
     for i, line in enumerate(lines):
         if line is not None and label is None:
             out[:, i] |= _outliers(table, i, line)
@@ -106,7 +120,7 @@ def judge_weighings(table: Weighings) -> Judged:
     for i, (line, shape) in enumerate(zip(lines, shapes, strict=True)):
         if line is not None:
             found += _check_cell(given, i, line, out[:, i], shape)
-    return Judged(found, kept, shapes)
+    return Judged([*found, *_check_shared(table, lines)], kept, shapes)
 
 
 def _find_shape(load: Floats, code: Floats) -> Shape:
@@ -191,16 +205,48 @@ def _check_units(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Fin
         yield Finding("newtons", reason, "Name the column 'load_N', or give kilograms.")
 
 
-def _check_labels(table: Weighings, lines: list[Line | None]) -> Finding | None:
-    """Find two labels that are exchanged, or one that is another load: it puts all cells on their lines."""
+def _check_mistakes(table: Weighings, lines: list[Line | None]) -> Finding | None:
+    """Find the mistake without which all cells lie on their lines: a wrong label, or a zero that jumped."""
+    tried = [*_label_mistakes(table), *_zero_jumps(table, lines)]
+    if not tried:
+        return None
+    fits = []
+    for one in tried:
+        undone = one.undo(table)
+        fits.append([_fit(undone.load, code) for code in undone.code.T])
+    # A mistake with a size of its own costs the likelihood of one more number.
+    cost = [0.5 * np.log(len(table.load)) * (one.kind != EXCHANGED) + np.log(len(tried)) for one in tried]
+    evidence = [_likelihood(fit) - free for fit, free in zip(fits, cost, strict=True)]
+    sizes = [_size(table, fit) for fit in fits]
+    plain = _likelihood(lines)
+    diagnosis = diagnose(list(map(Tried, tried, evidence, sizes)), plain, _size(table, lines), EXPERIENCE)
+    limit, likely = float(np.log(ODDS)), diagnosis.likely
+    if likely is None or likely.evidence - plain <= limit:
+        return None
+    worst = max(
+        abs(np.nanmax(np.abs(one.residual)) / one.slope) for one in lines if one is not None and one.slope
+    )
+    reason = f"The weighings contradict each other by up to {worst:.2g} N. {diagnosis.sentence()}"
+    cure = f"{diagnosis.cure.removesuffix('.')}, or leave these rows out."
+    gain = likely.evidence - plain
+    kind = "labels" if likely.mistake.kind == EXCHANGED else likely.mistake.kind
+    return Finding(kind, reason, cure, gain, limit, contradicts=True)
+
+
+def _label_mistakes(table: Weighings) -> Iterator[Mistake]:
+    """Yield two labels that are exchanged, and labels of another load."""
     loads = np.unique(table.load[np.isfinite(table.load)])
     if len(loads) < 4:
-        return None
-    tries: list[tuple[str, str, Floats]] = []
+        return
+    column = f"in column '{table.column}'"
+
+    def relabel(load: Floats) -> Callable[[Weighings], Weighings]:
+        return lambda table: replace(table, load=load)
+
     for a, b in combinations(loads, 2):
         changed = np.where(table.load == a, b, np.where(table.load == b, a, table.load))
-        one, other = table.label(a), table.label(b)
-        tries.append((f"the labels {one} and {other} are exchanged", "exchange them", changed))
+        cause = f"{column} the labels {table.label(a)} and {table.label(b)} are exchanged"
+        yield Mistake(EXCHANGED, cause, "exchange them", relabel(changed))
     for a in loads:
         if (np.isfinite(table.code) & (table.load == a)[:, None]).sum() < 2:
             continue  # one reading that lies off is an outlier
@@ -212,31 +258,60 @@ def _check_labels(table: Weighings, lines: list[Line | None]) -> Finding | None:
         ]
         if means and np.isfinite(means).any():
             true = float(np.nanmedian(means))
-            text = f"the readings under {table.label(a)} are those of {table.label(true)}"
-            tries.append((text, "weigh that load again", np.where(table.load == a, true, table.load)))
-    fits = [[_fit(changed, code) for code in table.code.T] for *_, changed in tries]
-    plain = _likelihood(lines)
-    # A label that is any load costs the likelihood of one more number.
-    free = np.array([0.5 * np.log(len(table.load)) * (cure != "exchange them") for _, cure, _ in tries])
-    gains = np.array([_likelihood(fit) for fit in fits]) - plain - free
-    best = int(np.argmax(gains))
-    limit = float(np.log(ODDS * len(tries)))
-    noise = max((_repeat(table, i, b) for i, b in enumerate(fits[best]) if b is not None), default=1.0)
-    if gains[best] <= limit or noise > 4.0:
-        return None
-    rest = np.delete(gains, best)
-    second = tries[int(np.argsort(-gains)[1])][0]
-    certain = 1.0 / (1.0 + np.exp(np.clip(rest - gains[best], -700.0, 0.0)).sum())
-    worst = max(
-        abs(np.nanmax(np.abs(one.residual)) / one.slope) for one in lines if one is not None and one.slope
-    )
-    sure = "more than 99.9 %" if certain > 0.999 else f"{100 * certain:.2g} %"
-    reason = (
-        f"The weighings contradict each other by up to {worst:.2g} N. The likeliest cause: in column "
-        f"'{table.column}' {tries[best][0]} (probability {sure}; next: {second})."
-    )
-    cure = f"{tries[best][1].capitalize()}, or leave these rows out."
-    return Finding("labels", reason, cure, float(gains[best]), limit, contradicts=True)
+            cause = f"{column} the readings under {table.label(a)} are those of {table.label(true)}"
+            yield Mistake(
+                "labels", cause, "weigh that load again", relabel(np.where(table.load == a, true, table.load))
+            )
+
+
+def _zero_jumps(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Mistake]:
+    """Yield the likeliest jump of each cell's zero, as of a tare that was pressed in the middle."""
+    for i, line in enumerate(lines):
+        rows = np.flatnonzero(np.isfinite(table.code[:, i]) & np.isfinite(table.load))
+        if line is None or len(rows) < FEWEST:
+            continue
+        x, y, best = table.load[rows], table.code[rows, i], (np.inf, 0, 0.0)
+        for k in range(2, len(rows) - 1):
+            A = np.column_stack([x, np.ones_like(x), np.arange(len(rows)) >= k])
+            theta, rest = np.linalg.lstsq(A, y, rcond=None)[:2]
+            if len(rest) and rest[0] < best[0]:
+                best = float(rest[0]), k, float(theta[2])
+        _, k, jump = best
+        slope = _fit(x, np.where(np.arange(len(rows)) >= k, y - jump, y))
+        if slope is not None and slope.follows and abs(jump) > JUMP * abs(slope.slope) * np.ptp(x):
+            code = table.code.copy()
+            code[rows[k:], i] -= jump
+            cause = (
+                f"the zero of column '{table.cells[i]}' jumps by {jump:.4g} counts before line {rows[k] + 2}"
+            )
+            yield Mistake(
+                "zero jump", cause, "weigh this cell again without a tare", partial(_recount, code=code)
+            )
+
+
+def _recount(table: Weighings, code: Floats) -> Weighings:
+    return replace(table, code=code)
+
+
+def _size(table: Weighings, lines: Sequence[Line | None]) -> float:
+    """Return the largest scale of a cell's residuals in that of its repeated readings."""
+    return max((_repeat(table, i, line) for i, line in enumerate(lines) if line is not None), default=1.0)
+
+
+def _check_shared(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Finding]:
+    """Find rows in which several cells follow one load, as if each had a weight of its own."""
+    follows = [i for i, line in enumerate(lines) if line is not None and line.follows]
+    together = (np.isfinite(table.code[:, follows]).sum(axis=1) > 1) & (np.abs(table.load) > 0.0)
+    if together.any():
+        reason = (
+            f"In {together.sum()} rows {len(follows)} cells follow the load in column '{table.column}' at "
+            "the same time: each is taken to bear all of it."
+        )
+        cure = (
+            "If one weight stood on all of them, each bore a share, and its scale comes out too large: put "
+            "the weight on one cell at a time and leave the other columns empty."
+        )
+        yield _note("shared weight", reason, cure)
 
 
 def _repeat(table: Weighings, i: int, line: Line) -> float:
@@ -362,7 +437,12 @@ def _check_memory(name: str, memory: Memory | None, span: float) -> Iterator[Fin
         drift = f"{memory.drift:+.2g} N from its first row to its last"
         reason = f"Column '{name}' drifts while it is weighed, by {drift}."
         cure = "Let the cell warm up for a quarter of an hour under no load, and weigh again."
-        yield _note("drift", reason, cure, abs(memory.drift), LEAST * span)
+        # Loads that only rise go with the time, so that the drift becomes part of the scale.
+        one_way = not np.isfinite(memory.hysteresis_std)
+        if one_way:
+            cure += " Weigh up and down: with loads in one order its scale takes the drift for load."
+        refuses = one_way and abs(memory.drift) > DRIFTED * span
+        yield Finding("drift", reason, cure, abs(memory.drift), LEAST * span, refuses=refuses)
 
 
 def _bend(load: Floats, code: Floats, line: Line) -> tuple[float, float, float]:

@@ -47,7 +47,9 @@ class Memory(NamedTuple):
 
 
 def memory_of(load: Floats, force: Floats, rounding: float) -> Memory | None:
-    """Find hysteresis and drift of one cell; ``None`` unless loads were reached from below and from above.
+    """Find hysteresis and drift of one cell; ``None`` with too few readings.
+
+    Hysteresis is zero and unknown unless loads were reached from below and from above.
 
     Loads in N, (n,), are in the order of weighing; readings, (n,), are newtons by the cell's own line or
     curve, and their rounding has a standard deviation in N.
@@ -67,7 +69,7 @@ def memory_of(load: Floats, force: Floats, rounding: float) -> Memory | None:
         # The loop must differ by more than a drift does, from row to row.
         left = information[0, 0] - information[0, 1] ** 2 / max(information[1, 1], 1e-300)
         if not left > 1e-6 * full**2:
-            return None
+            return _drift_alone(rest[:, -2], y, free + 1, rounding)
         covariance = np.linalg.inv(information)
         theta = covariance @ (A.T @ y)
         variance = max(float(np.sum((y - A @ theta) ** 2)) / free, rounding**2)
@@ -83,3 +85,14 @@ def memory_of(load: Floats, force: Floats, rounding: float) -> Memory | None:
     own = float(np.hypot(std[0], mean[0] ** 2))
     drifted = float(np.hypot(std[1], SHAPE * mean[0] * full))
     return Memory(float(mean[0]), own, float(mean[1]), drifted, reach)
+
+
+def _drift_alone(time: Floats, force: Floats, free: int, rounding: float) -> Memory | None:
+    """Find the drift of a cell whose loads were all reached from the same side."""
+    information = float(time @ time)
+    if information <= 0.0:
+        return None
+    drift = float(time @ force) / information
+    variance = max(float(np.sum((force - drift * time) ** 2)) / free, rounding**2)
+    reach = float(student.ppf(1.0 - 0.5 * ALARM, free))
+    return Memory(0.0, np.inf, drift, float(np.sqrt(variance / information)), reach)
