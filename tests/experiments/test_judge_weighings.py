@@ -157,8 +157,43 @@ def test_a_drift_is_no_hysteresis() -> None:
     (found,) = judge_weighings(table).findings
     assert found.name == "drift"
     assert "'raw_a_count' drifts while it is weighed, by +1 N from its first row to its last." in found.reason
-    rising = replace(table, load=table.load[:18], code=table.code[:18])
-    assert find_memory(rising.load, rising.code[:, 0], None) is None
+
+
+def test_a_drift_under_rising_loads_is_refused() -> None:
+    """Their order is that of time, so that the scale would take the drift for load."""
+    load = GRAVITY * np.repeat([0.0, 0.5, 1.0, 2.0, 4.0], 4)
+    rng, names = np.random.default_rng(3), ("raw_a_count",)
+    noise, drift = 20.0 * rng.standard_normal(len(load)), np.linspace(0.0, 1.0, len(load))
+    for newtons, refused in ((0.0, []), (0.3, [False]), (-2.5, [True])):
+        code = 84000 + 1e4 * (load + newtons * drift) + noise
+        found = judge_weighings(Weighings(load, np.rint(code)[:, None], names, "load_kg", GRAVITY)).findings
+        assert [one.refuses for one in found if one.name == "drift"] == refused
+    memory = find_memory(load, np.rint(code), None)
+    assert memory is not None
+    assert not memory.loops
+    assert memory.drift == pytest.approx(-2.5, rel=0.1)  # in newtons of a line that it turned
+
+
+def test_a_tare_in_the_middle_is_named() -> None:
+    load = GRAVITY * np.repeat([0.0, 0.5, 1.0, 2.0, 3.0, 0.0, 2.0], 3)
+    rng, names = np.random.default_rng(4), ("raw_a_count", "raw_b_count")
+    code = 84000 + np.array([1.1e4, 0.9e4]) * load[:, None] + 20.0 * rng.standard_normal((len(load), 2))
+    code[9:, 1] -= 30000.0
+    (first,) = judge_weighings(Weighings(load, np.rint(code), names, "load_kg", GRAVITY)).findings
+    assert (first.name, first.refuses) == ("zero jump", True)
+    assert "the zero of column 'raw_b_count' jumps by -3" in first.reason
+    assert "before line 11 " in first.reason
+
+
+def test_cells_that_share_a_weight_are_noted() -> None:
+    """A weight on a plate of four cells, which each column would take for its own."""
+    load = GRAVITY * np.repeat([0.0, 1.0, 2.0, 4.0], 3)
+    code = np.rint(84000 + 1e4 * np.array([0.2, 0.3, 0.25, 0.25]) * load[:, None])
+    code += np.random.default_rng(5).integers(-20, 20, code.shape)
+    cells = tuple(f"raw_{name}_count" for name in "abcd")
+    (found,) = judge_weighings(Weighings(load, code, cells, "load_kg", GRAVITY)).findings
+    assert (found.name, found.refuses) == ("shared weight", False)
+    assert "In 9 rows 4 cells follow the load" in found.reason
 
 
 def test_hysteresis_is_said_with_its_size(tmp_path: Path) -> None:
@@ -241,7 +276,7 @@ def test_a_curve_goes_from_the_weights_to_the_walk(log: Log, tmp_path: Path, und
     for key in ("scale_N_per_count", "offset_N", "scale_std_N_per_count"):
         assert [line[key][i] for i in kept] == [curve[key][i] for i in kept]
     assert [one is None for one in curve["curves"]] == [i != 2 for i in range(8)]
-    (note,) = curve["notices"]
+    note, _ = curve["notices"]  # and all cells were weighed at once
     assert "Column 'raw_left_rear_left_count' is no line: under " in note
     assert "A monotone cubic takes its place; weights that were left out are found to " in note
 
