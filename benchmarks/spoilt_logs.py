@@ -2,6 +2,7 @@
 
     python benchmarks/spoilt_logs.py                  # both, about ten minutes
     python benchmarks/spoilt_logs.py weighings        # seconds
+    python benchmarks/spoilt_logs.py unknown          # walks whose mistake is not on the list
     python docs/study_tables.py out/results
 
 A walk is judged as `surefoot calibrate walk` and `surefoot check` judge it, a table of weighings as `surefoot
@@ -22,12 +23,15 @@ from rich.console import Console
 
 from surefoot.arrays import stack_rows, take_rows
 from surefoot.calibration import GRAVITY
+from surefoot.calibration.diagnosis import Cause, Mistake
 from surefoot.calibration.layout import FeetLayout, FootLayout
 from surefoot.calibration.results import Finding
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.tables import Table, share
-from surefoot.experiments.walking.judge import judge_log
+from surefoot.experiments.walking.hypotheses import hypotheses
+from surefoot.experiments.walking.judge import EXPERIENCE, Judgement, judge_log
+from surefoot.experiments.walking.lateness import DELAY
 from surefoot.experiments.walks.record import record_walk
 from surefoot.experiments.walks.replay import starting_map
 from surefoot.experiments.weights.judge import Weighings, judge_weighings
@@ -343,6 +347,39 @@ def refusals(kind: str) -> list[str]:
     return [next((one.name for one in findings if one.refuses), "") for findings in found]
 
 
+def unknown_table() -> Table:
+    """Judge walks with the kind of their mistake taken off the list: how often is another cause named?"""
+    judged: list[Judgement] = []
+    for number, log in enumerate(spoilt_walks().values()):
+        for i, (kind, spoil) in enumerate(SPOILERS.values()):
+            if kind == DELAY:
+                continue  # a parameter of the fit
+            spoilt = spoil(log, np.random.default_rng([number, i]))
+
+            def others(layout: FeetLayout, kind: str = kind) -> list[Mistake]:
+                return [one for one in hypotheses(layout) if one.kind != kind]
+
+            judged.append(judge_log(spoilt, starting_map(spoilt), others))
+    best = [one.causes[0] for one in judged if one.causes and one.as_it_is.size > 1.0]
+    sizes = np.log([judge_log(log, starting_map(log)).as_it_is.size for log in sound_walks()])
+    rows = (
+        ("walks that contradict themselves", str(len(best))),
+        (
+            "mimicked down to the median of sound walks",
+            share(*_count(best, lambda one: one.size < EXPERIENCE.size)),
+        ),
+        ("another cause at more than 50 %", share(*_count(best, lambda one: one.probability > 0.5))),
+        ("another cause at more than 90 %", share(*_count(best, lambda one: one.probability > 0.9))),
+        ("size of sound walks, median", f"{np.exp(np.median(sizes)):.2f}"),
+        ("size of sound walks, std of the logarithm", f"{sizes.std():.2f}"),
+    )
+    return Table("unknown", "Walks whose mistake is not on the list", ("what", "measured"), rows)
+
+
+def _count(causes: Sequence[Cause], holds: Callable[[Cause], bool]) -> tuple[int, int]:
+    return sum(map(holds, causes)), len(causes)
+
+
 def mistakes_table(kind: str, outcomes: Sequence[Outcome]) -> Table:
     """Show what was named first, a row a mistake and a column a log."""
     logs = list(dict.fromkeys(one.log for one in outcomes))
@@ -360,6 +397,10 @@ def main() -> None:
     parser.add_argument("kinds", nargs="*", default=["walks", "weighings"])
     console, rows, tables = Console(width=200), [], []
     for kind in parser.parse_args().kinds:
+        if kind == "unknown":
+            tables.append(unknown_table())
+            console.print(tables[-1].to_rich())
+            continue
         outcomes = list(walk_outcomes() if kind == "walks" else weighing_outcomes())
         refused = refusals(kind)
         silent = sum(not one.findings for one in outcomes)
@@ -369,6 +410,8 @@ def main() -> None:
         tables.append(mistakes_table(kind, outcomes))
         console.print(tables[-1].to_rich())
         console.print(f"sound {kind} refused: {[name for name in refused if name] or 'none'}")
+    if not rows:
+        return
     heads = ("logs", "spoilt", "of them without a word", "the true cause first", "sound ones refused")
     tables.append(Table("counts", "Spoilt and sound logs", heads, tuple(rows)))
     console.print(tables[-1].to_rich())

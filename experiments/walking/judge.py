@@ -6,14 +6,14 @@ unknown mistake (:mod:`surefoot.calibration.diagnosis`). The age of the readings
 (:mod:`~surefoot.experiments.walking.lateness`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from surefoot.calibration import Parameters
+from surefoot.calibration import FeetLayout, Parameters
 from surefoot.calibration.diagnosis import Cause, Diagnosis, Experience, Mistake, Tried, diagnose, sentence
 from surefoot.calibration.results import Finding
 from surefoot.experiments.logs.columns import raw_names_of
@@ -79,15 +79,20 @@ class _Fitted(NamedTuple):
     fit: Fit
 
 
-def judge_log(log: Log, initial: Parameters) -> Judgement:
-    """Judge whether counts, layout, mass, motion and contacts of a log agree, by a starting map."""
+def judge_log(
+    log: Log, initial: Parameters, mistakes: Callable[[FeetLayout], Iterable[Mistake]] = hypotheses
+) -> Judgement:
+    """Judge whether counts, layout, mass, motion and contacts of a log agree, by a starting map.
+
+    ``mistakes`` returns those that are tried on a log with a layout.
+    """
     far = _check_layout(log)
     # Matrices are small: threads would cost more than they bring.
     with threadpool_limits(limits=1, user_api="blas"):
         written = claims_of(log, initial, length_of(log))
         if (plain := fit_parts(condense(written))).rows == 0:
             return Judgement(tuple(far), (), plain)
-        late, claims, fitted = _fit_in_time(written, list(hypotheses(log.layout)))
+        late, claims, fitted = _fit_in_time(written, list(mistakes(log.layout)))
         plain = fit_parts(condense(claims)) if late.seconds else plain
         others = _fit_troubles(claims, raw_names_of(log.layout))
         diagnosis = _diagnose(plain, fitted, others)

@@ -236,7 +236,8 @@ def test_a_lag_beside_motion_is_refused(log: Log, tmp_path: Path) -> None:
     redescribe(path, lag_samples=2)
     assert refusal_of(path) == (
         "walk.csv: the description: 'lag_samples' is 2 beside 'motion', whose references are made for the "
-        "very moment of each row; leave it out and give motion.delay_s in seconds."
+        "very moment of each row; leave it out, and give motion.readings_age_s for old readings of the feet "
+        "or motion.delay_s for old joints and IMU, in seconds."
     )
 
 
