@@ -155,5 +155,5 @@ def _channels(table: LogTable, kind: str, loads: Sequence[str]) -> Recording:
         one = table.numbers(loads[0]) * LOADS[loads[0]]
         load = np.repeat(one[:, None], len(names), axis=1)
     unloaded = np.zeros(raw.shape, dtype=bool) if load is None else load == 0.0
-    told = {"notices": table.notices + found, "clock": clock}
-    return Recording(table.file, kind, names, time, raw, unloaded, load, **told)
+    notices = table.notices + found
+    return Recording(table.file, kind, names, time, raw, unloaded, load, notices=notices, clock=clock)

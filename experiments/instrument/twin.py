@@ -74,6 +74,7 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
     """
     heaviest = 0.0 if recording.load is None else float(np.nanmax(np.abs(recording.load)))
     _check(recording, capacity, heaviest)
+    recording = replace(recording, time=clock_of(recording.time, recording.file, joined=True).time)
     recording, cut = _leave_out_cut(recording)
     scale = _scale(recording)
     rates = [_rate(recording, conversions(raw)) for raw in recording.raw.T]
@@ -121,7 +122,6 @@ def _check(recording: Recording, capacity: float | None, heaviest: float) -> Non
             f"{recording.file}: is of a six-axis sensor, and twins are made of load cells.",
             "'surefoot check' shows its noise and drift, 'surefoot calibrate ft' its matrix and offset.",
         )
-    clock_of(recording.time, recording.file)
     if recording.refusal:
         raise LogError(recording.refusal)
     if capacity and capacity * OVERLOAD < heaviest:

@@ -175,10 +175,10 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
             mine = [one for one in messages if one[0].topic == topic]
             decoded = [message_of(path, reader, link, data) for link, _, data in mine]
             received = 1e-9 * (np.array([stamp for _, stamp, _ in mine]) - messages[0][1])
-            names = dict.fromkeys(name for message in decoded for name in getattr(message, "name", ()))
+            joints = dict.fromkeys(name for message in decoded for name in getattr(message, "name", ()))
             for rows, some in _by_publisher(decoded, fields):
                 messages_of = [decoded[row] for row in rows]
-                columns = _numbers(f"{path.name}: '{topic}'", some, messages_of, names)
+                columns = _numbers(f"{path.name}: '{topic}'", some, messages_of, joints)
                 stamps = _stamps(messages_of, messages[0][1])
                 time, clock = _clock(received[rows], stamps, topics.offsets_s.get(topic))
                 one, notice = _series_of(topic, time, columns)

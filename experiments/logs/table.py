@@ -100,7 +100,7 @@ class LogTable:
             if column.null_count or not column.num_chunks:
                 return np.asarray(column.to_numpy(), dtype=np.float64)
             # to_numpy() imports pandas, which takes longer than to read a log. One chunk needs no copy.
-            chunks: list[Floats] = [np.from_dlpack(chunk) for chunk in column.chunks]
+            chunks: list[Any] = [np.from_dlpack(chunk) for chunk in column.chunks]
             return chunks[0] if len(chunks) == 1 else np.concatenate(chunks)
         if pa.types.is_time(kind):  # a time of day: seconds since midnight
             values = column.cast(pa.time64("ns")).cast(pa.int64())

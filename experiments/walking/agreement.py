@@ -157,7 +157,7 @@ def _block_means(rows: Floats, dt: float) -> Floats:
 
 def _late_references(log: Log) -> Reference:
     """Return the references from the first that describes a row, without those that cannot be."""
-    late = take_rows(log.reference, slice(log.lag, None))
+    late: Reference = take_rows(log.reference, slice(log.lag, None))
     sound = np.ones(len(log) - log.lag, dtype=bool)
     for part in late:
         sound &= np.all(np.abs(part.reshape(len(part), -1)) <= LARGEST, axis=1)

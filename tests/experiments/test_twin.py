@@ -191,7 +191,7 @@ def test_what_is_missing_is_said(rig: tuple[Recording, LoadCellState], tmp_path:
     ):
         identify(replace(rig[0], kind="six-axis sensor"))
     with pytest.raises(LogError, match=r"rig\.csv: column 'time_s' goes back at row 7 .* sort the rows by"):
-        identify(replace(rig[0], time=np.where(np.arange(len(rig[0].time)) == 7, 0.03, rig[0].time)))
+        identify(replace(rig[0], time=np.where(np.arange(len(rig[0].time)) == 7, 0.01, rig[0].time)))
     with pytest.raises(LogError, match=r"rig\.csv: missing column"):
         identify(replace(rig[0], refusal="rig.csv: missing column raw_b_count."))
 
