@@ -166,7 +166,7 @@ def _check_reason(accept: str | None) -> None:
 
 def _guess(log: Path, *, walk: bool) -> NoReturn:
     """Print an example of a mapping file for a bag, and end."""
-    from surefoot.experiments.logs.bag import guess_topics
+    from surefoot.experiments.logs.guess import guess_topics
     from surefoot.experiments.study.progress import working
 
     with one_line_errors():

@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, walk
@@ -301,3 +303,26 @@ def test_options_may_be_a_value_that_names_its_method():
     assert FootCalibrator(LAYOUT, SwingTare(), mass=MASS).method == "tare"
     with pytest.raises(ValueError, match=r"'ripple' is given twice, in Moment\(...\) and as a keyword"):
         FootCalibrator(LAYOUT, Moment(ripple=1.0), mass=MASS, ripple=2.0)
+
+
+def test_a_replay_keeps_less_than_a_kilobyte_for_each_sample(log):
+    """Its results are arrays, and a covariance that changes once in several samples is kept once."""
+    times = 12
+    raw = np.concatenate([log.raw] * times)
+    reference = Reference(*(np.concatenate([part] * times) for part in log.reference))
+    known = {"mass": believed_mass(FAULTS), "initial": NOMINAL}
+    replay(LAYOUT, "moment", log.raw, log.reference, DT, **known)  # libraries and constants are loaded
+    tracemalloc.start()
+    try:
+        found = replay(LAYOUT, "moment", raw, reference, DT, **known)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 1000 * len(raw) + 2**18
+    assert found.covariance.shape == (len(raw), 16, 16)
+    whole = np.asarray(found.covariance)
+    diagonal = np.arange(16)
+    np.testing.assert_array_equal(found.covariance[-1], whole[-1])
+    np.testing.assert_array_equal(found.covariance[50:90], whole[50:90])
+    np.testing.assert_array_equal(found.covariance[:, diagonal, diagonal], whole[:, diagonal, diagonal])
+    np.testing.assert_array_equal(found.covariance[..., 0, 1], whole[..., 0, 1])

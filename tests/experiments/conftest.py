@@ -18,8 +18,8 @@ from surefoot.arrays import stack_rows
 from surefoot.calibration.layout import nao_shoe_layout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
-from surefoot.experiments.logs.bag import guess_topics
 from surefoot.experiments.logs.format import Log, LogTruth, write_log
+from surefoot.experiments.logs.guess import guess_topics
 from surefoot.experiments.walks.record import record_walk
 from surefoot.robot.beliefs.errors import NO_ERRORS
 from surefoot.wrappers import FootSensors, SelfCalibration

@@ -15,8 +15,9 @@ from surefoot.calibration import calibrate_in_situ, replay
 from surefoot.experiments.force_torque.calibrate import SAMPLE
 from surefoot.experiments.force_torque.log import read_in_situ_log
 from surefoot.experiments.instrument.check import check_log
-from surefoot.experiments.logs.bag import Series, guess_topics, read_bag
+from surefoot.experiments.logs.bag import Series, read_bag
 from surefoot.experiments.logs.format import Log, read_log, write_log
+from surefoot.experiments.logs.guess import guess_topics
 from surefoot.experiments.walking.calibrate import standard_deviations
 
 pytest.importorskip("rosbags", reason="needs rosbags: pip install surefoot[ros]")
