@@ -42,7 +42,7 @@ ALARM = 1e-6  # probability of calling a sound channel's slope a drift
 
 @dataclass(frozen=True)
 class Wrong:
-    """A finding, since when it holds, and the measurement that would settle it."""
+    """A finding, the time from which it holds, and the measurement that would settle it."""
 
     finding: Finding
     since: str = "all along"
@@ -207,7 +207,7 @@ def say_time(time: float) -> str:
 
 
 def settling_motion(kind: str) -> str:
-    """Return the shortest motion or reading that tells whether a mistake of a kind was made."""
+    """Return the shortest motion or reading that shows whether a mistake of this kind was made."""
     try:
         return _settle(kind.replace(" ", "-"))
     except KeyError:
@@ -215,7 +215,7 @@ def settling_motion(kind: str) -> str:
 
 
 def _stuck(recording: Recording) -> NDArray[np.intp]:
-    """Return from which row on a channel never changes again while others do, -1 for none, shape (K,)."""
+    """Return the row after which each channel stays constant while others change, or -1, shape (K,)."""
     found = np.full(len(recording.names), -1)
     changed: list[int] = []
     for raw in recording.raw.T:

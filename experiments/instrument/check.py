@@ -106,7 +106,7 @@ def _judge_weighings(weighings: Weighings) -> Iterator[Wrong]:
 
 def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
     if not any(np.ptp(raw[np.isfinite(raw)]) > 0.0 for raw in log.raw.T if np.isfinite(raw).any()):
-        return  # its channels say so
+        return  # the findings about channels report it
     length: dict[str, float] = {}
     try:
         length = foot_length_of(log, recording.file)
@@ -122,7 +122,7 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
         return
     verdict = judge_log(log, initial)
     row, size = _first_bad(log, initial, verdict), (len(log) - log.lag) // PARTS
-    # What began on the way is clearer where it has begun, which may be in the middle of a part.
+    # A mistake that began during the log is clearer after it, which may be in the middle of a part.
     rest = (replace(log.cut(slice(start, None)), truth=None) for start in (row, row + size) if row)
     late = [judge_log(part, initial) for part in rest]
     named = (one for one in (*late, verdict) if one.findings and one.findings[0].contradicts)
@@ -139,23 +139,23 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
 
 
 def _onset(claims: Claims, mistake: Mistake, row: int, size: int) -> int:
-    """Return the row around a part's first from which on undoing a mistake mends a log best."""
+    """Return the row near the start of a part from which undoing a mistake improves the log most."""
     undone = mistake.undo(claims)
     if undone.initial is not claims.initial or undone.wrench_map is not claims.wrench_map:
-        return row  # nothing that a log's rows hold
+        return row  # the mistake is not in the rows of the log
     rows = np.arange(max(row - size, 1), row + 2 * size, max(round(ONSET / claims.dt), 1))
     return int(rows[np.argmax([fit_claims(_mix_row(claims, undone, one)).evidence for one in rows.tolist()])])
 
 
 def _mix_row(claims: Claims, undone: Claims, row: int) -> Claims:
-    """Return claims of which the rows from one on are those of others."""
+    """Return claims whose rows from ``row`` on are replaced by those of other claims."""
     pairs = zip(claims.reference, undone.reference, strict=True)
     reference = Reference(*(np.concatenate([np.asarray(a)[:row], np.asarray(b)[row:]]) for a, b in pairs))
     return replace(claims, raw=np.concatenate([claims.raw[:row], undone.raw[row:]]), reference=reference)
 
 
 def _first_bad(log: Log, initial: Parameters, verdict: Judgement) -> int:
-    """Return the row from which on a log contradicts itself, to a part of it; 0 if all along."""
+    """Return the first row of the part in which a log begins to contradict itself; 0 for the whole log."""
     if not verdict.findings:
         return 0
     claims = claims_of(log, initial, length_of(log))
@@ -163,7 +163,7 @@ def _first_bad(log: Log, initial: Parameters, verdict: Judgement) -> int:
     bad = [fit.rows > 0 and fit.worst > SOUND for fit in fits]
     mended = [one for one in verdict.causes if one.mistake.kind == verdict.findings[0].name]
     if mended:
-        # A part that fits as well with a mistake undone, as standing does with most, does not tell.
+        # A part that fits as well with the mistake undone, as standing mostly does, is not evidence of it.
         undone = [fit_claims(part).evidence for part in parts_of(mended[0].mistake.undo(claims), PARTS)]
         bad = [fit.evidence < other + np.log(HINT) for fit, other in zip(fits, undone, strict=True)]
     first = bad.index(True) if True in bad else 0

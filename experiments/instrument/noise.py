@@ -65,9 +65,9 @@ class Conversions(NamedTuple):
 def conversions(raw: Floats) -> Conversions:
     """Find the rows in which a new conversion was read.
 
-    The repeats of a slow chip come with its clock: the number of its conversions in some rows is the same to
-    one or two. A channel that is as quiet as its steps repeats by chance, so that this number has a
-    binomial's variance, and all of its rows are conversions.
+    A slow chip repeats its readings at the rate of its own clock, so that the number of its conversions in a
+    given number of rows varies by one or two only. A channel whose noise is as small as its steps repeats
+    readings by chance: this number then has a binomial variance, and every row is a conversion.
     """
     there = np.flatnonzero(np.isfinite(raw))
     fresh = np.concatenate([[True], np.diff(raw[there]) != 0.0])[: len(there)]
@@ -93,7 +93,7 @@ def step_of(raw: Floats) -> float:
 
 
 def rests(time: Floats, raw: Floats, unloaded: NDArray[np.bool_]) -> list[Stretch]:
-    """Return the stretches in which a channel carries nothing or, if none is known, is quietest."""
+    """Return the stretches in which a channel is unloaded or, if none is known, in which it is quietest."""
     rows = conversions(raw).rows
     if len(rows) < FEWEST:
         return []
@@ -107,14 +107,14 @@ def rests(time: Floats, raw: Floats, unloaded: NDArray[np.bool_]) -> list[Stretc
 
 
 def find_leaps(time: Floats) -> NDArray[np.bool_]:
-    """Return between which times in s, shape (N,), a clock that goes on leaps, shape (N - 1,)."""
+    """Return which steps between increasing times in s, shape (N,), are gaps, shape (N - 1,)."""
     steps = np.diff(time)
     leaps: NDArray[np.bool_] = steps > max(MAX_GAP, LEAP * _usual_step(time))
     return leaps
 
 
 def _usual_step(time: Floats) -> float:
-    """Return the median time in s between rows by which the clock goes on."""
+    """Return the median of the positive steps of time in s."""
     steps = np.diff(time)
     return float(np.median(steps[steps > 0.0]))
 
@@ -155,7 +155,7 @@ def _means(one: Stretch, size: int) -> Floats:
 
 
 def _quiet(time: Floats, value: Floats) -> NDArray[np.bool_]:
-    """Return where a channel is about as quiet as it ever is."""
+    """Return the rows in which a channel is about as quiet as in its quietest parts."""
     size = max(FEWEST // 2, round(BLOCK / _usual_step(time)))
     blocks = len(value) // size
     if blocks < 2:

@@ -29,7 +29,7 @@ EARLY, LATE = 0.002, 0.05
 """Times in s by which a message may reach the recorder before its stamp, as clocks of one robot differ, and
 after it; beyond, the stamps are those of another clock."""
 
-LEAST = 0.02  # share of messages that may come sooner than what counts as the least delay
+LEAST = 0.02  # quantile of the delays that counts as the least delay
 BRIDGED = 2.5  # periods of a topic between two messages that a straight line may bridge
 SPAN = 16  # messages over which a topic's period is taken: bursts even out
 

@@ -1,7 +1,7 @@
-"""A TOML file that describes the table beside it: whose columns are which, in which units and at which rate.
+"""The TOML file beside a table, which maps its columns, units and rates to those of the log format.
 
-It serves tables as the mapping file of topics serves bags: further tables, at rates of their own, come onto
-the rows of the first as topics do; docs/log-format.md lists the keys.
+It does for tables what the mapping file of topics does for bags. Further tables may have their own rates; their
+columns are brought onto the rows of the first table. docs/log-recipes.md lists the keys.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ UNITS = {
     "rad_s": {"rad/s": 1.0, "deg/s": np.pi / 180.0},
     "Nm": {"N m": 1.0, "N mm": 1e-3},
 }
-"""What units are worth in SI, by what the names of such columns end in."""
+"""Factors from units to SI, by the ending of the column's name."""
 
 SI = {unit: float(factor) for units in UNITS.values() for unit, factor in units.items()}
 
@@ -37,7 +37,7 @@ Character = Annotated[str, Field(min_length=1, max_length=1)]
 
 
 class Csv(Settings):
-    """How a CSV file is written; ``None``: as its first lines show."""
+    """How a CSV file is written; ``None`` means that its first lines decide."""
 
     separator: Character | None = None
     decimal: Character | None = None
@@ -59,7 +59,7 @@ class TableMapping(Settings):
 
     @classmethod
     def beside(cls, log: Path) -> "TableMapping":
-        """Read the ``.toml`` of the log's name beside it, if there is one; LogError if it is wrong."""
+        """Read the ``.toml`` file with the log's name, if it exists; LogError if it is not valid."""
         path = log.with_suffix(".toml")
         mapping = cls.read(read_toml(path, LogError), path.name) if path.is_file() else cls()
         files = {log.name, *mapping.tables}
@@ -71,10 +71,10 @@ class TableMapping(Settings):
         return mapping
 
     def read_by_mapping(self, path: Path, absent: str, own: Mapping[str, str] | None = None) -> LogTable:
-        """Read one table under the documented names and in SI units; LogError where that cannot be.
+        """Read one table with the documented names and in SI units.
 
-        ``absent`` is said if it is not there; ``own`` are its own names by the documented ones, by default
-        those of ``tables``, if any.
+        Raises LogError with the hint ``absent`` if the file does not exist, or if a column or unit does not fit.
+        ``own`` maps the documented names to those of the file, by default as ``tables`` does.
         """
         table = read_table(path, absent, separator=self.csv.separator, decimal=self.csv.decimal)
         own = self.tables.get(path.name, {}) if own is None else own
@@ -96,7 +96,7 @@ class TableMapping(Settings):
         return LogTable(table.file, data, table.notices)
 
     def check_units(self, tables: Sequence[LogTable]) -> None:
-        """Raise LogError if a pattern of ``units`` fits no column of any table."""
+        """Raise LogError if a pattern of ``units`` matches no column of any table."""
         names = [(table.file, name) for table in tables for name in table.names]
         for pattern in self.units:
             if not any(_fits(pattern, file, name) for file, name in names):
@@ -104,7 +104,7 @@ class TableMapping(Settings):
                 raise LogError(f"units: no column is called '{pattern}'; there are {there}.")
 
     def read_all(self, path: Path, absent: str) -> list[LogTable]:
-        """Read a log's own table, and all that belong to it; LogError if one is not right."""
+        """Read a log's table and all further tables; LogError if one cannot be used."""
         others = (
             self.read_by_mapping(path.parent / name, "[tables] gives its path.") for name in self.tables
         )
@@ -112,7 +112,7 @@ class TableMapping(Settings):
 
 
 def merge(tables: Sequence[LogTable]) -> Bag:
-    """Return tables as one, which puts all onto the rows of the first; LogError if times do not increase."""
+    """Return tables as one on the rows of the first; LogError if the times of one cannot be used."""
     parts = tuple(map(_series, tables))
     notices = (f"{part.topic}: {len(part.time)} rows, {1.0 / part.period:.4g} a second." for part in parts)
     return Bag(tables[0].file, parts, tuple(notices))

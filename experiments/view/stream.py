@@ -33,9 +33,9 @@ from surefoot.experiments.view.shown import NEED_NO_ROBOT, Shown, place_apart, s
 from surefoot.files import parse_json, read_text
 
 LARGEST_PACKET = 65536  # bytes, which is all that UDP carries
-MOST_AT_ONCE = 1000  # packets between two frames: a robot that sends faster is behind anyway
-FELT_FOR = 10.0  # s of load in which feet alone show that they step
-QUIET = 1.0  # s without a row after which the page says so
+MOST_AT_ONCE = 1000  # packets read between two frames; the rest is read after the next one
+FELT_FOR = 10.0  # s of load from which contacts of feet alone are estimated
+QUIET = 1.0  # s without a row after which the page reports it
 
 
 class RowSocket:
@@ -66,7 +66,7 @@ class RowSocket:
         return [line for line in found if line.strip()]
 
     def close(self) -> None:
-        """Listen no longer."""
+        """Close the socket."""
         self._socket.close()
 
 
@@ -95,12 +95,12 @@ class StreamFeet:
         self.choose(method)
 
     def choose(self, method: str) -> None:
-        """Calibrate by another method from now on; ValueError if there is none of that name."""
+        """Switch to another method; ValueError if it does not exist."""
         self.method = check_method(method)
         self._begin()
 
     def take(self, line: bytes) -> None:
-        """Take in a row, and make what is to be drawn of it; LogError or ValueError says what it lacks."""
+        """Process a row and prepare its drawing; LogError or ValueError if a column is missing or wrong."""
         row = parse_json(line.decode(errors="replace"), "The row", LogError)
         if not isinstance(row, Mapping):
             raise LogError(f"The row must be a JSON object of columns, got {type(row).__name__}.")
@@ -132,7 +132,7 @@ class StreamFeet:
 
     def _begin(self) -> None:
         facts, alone = self.facts, self._alone
-        # Contacts that are felt are sure some samples later.
+        # Contacts estimated from the load are known some samples later.
         self._late = round(SURE / facts.dt_s) + 1 if alone else facts.lag_samples
         self._load: deque[Any] = deque(maxlen=round(FELT_FOR / facts.dt_s))
         self._time = self._origin = math.nan
@@ -149,7 +149,7 @@ class StreamFeet:
         return Reference(**{name: part[0] for name, part in fields.items()})
 
     def _feel(self, row: Mapping[str, Any], raw: Any) -> Reference:
-        """Make a reference of feet that stand side by side; contacts are told, or felt."""
+        """Make a reference of feet side by side, with contacts from the row or estimated from the load."""
         names = [phase_names(self.layout, phase) for phase in PHASES]
         if names[0][0] in row:
             stance, swing = (np.array([_number(row, name) > 0.5 for name in some]) for some in names)
@@ -193,7 +193,7 @@ class StreamPage(Served):
             self._try("row", line)
 
     def draw(self) -> None:
-        """Draw the newest row, unless it is drawn already."""
+        """Draw the newest row unless it was drawn before."""
         shown, rows = self.feet.shown, self.feet.rows
         if shown is None or (rows == self._drawn and self._quiet < QUIET):
             return
