@@ -1,7 +1,7 @@
 """The TOML file beside a table, which maps its columns, units and rates to those of the log format.
 
-It does for tables what the mapping file of topics does for bags. Further tables may have their own rates; their
-columns are brought onto the rows of the first table. docs/log-recipes.md lists the keys.
+It does for tables what the mapping file of topics does for bags. Further tables may have their own rates:
+their columns are brought onto the rows of the first table. docs/log-recipes.md lists the keys.
 """
 
 from collections.abc import Mapping, Sequence
@@ -73,8 +73,8 @@ class TableMapping(Settings):
     def read_by_mapping(self, path: Path, absent: str, own: Mapping[str, str] | None = None) -> LogTable:
         """Read one table with the documented names and in SI units.
 
-        Raises LogError with the hint ``absent`` if the file does not exist, or if a column or unit does not fit.
-        ``own`` maps the documented names to those of the file, by default as ``tables`` does.
+        ``own`` maps the documented names to those of the file, by default as ``tables`` does. Raises LogError
+        with the hint ``absent`` if the file does not exist, or if a column or unit does not fit.
         """
         table = read_table(path, absent, separator=self.csv.separator, decimal=self.csv.decimal)
         own = self.tables.get(path.name, {}) if own is None else own
