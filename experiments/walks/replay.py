@@ -69,8 +69,8 @@ def foot_length_of(log: Log, file: str) -> dict[str, float]:
         return {"foot_length": float(log.about["foot_length_m"])}
     if any(foot.position_cell_sole is None for foot in log.layout.feet):
         raise LogError(
-            f"{file}: the description gives neither places of the channels nor the length of a foot; give it "
-            'in m: "about": {"foot_length_m": 0.25}.'
+            f"{file}: the channels have no places, which would give the length of a foot; give it in m in "
+            'the description: "about": {"foot_length_m": 0.25}.'
         )
     return {}
 
