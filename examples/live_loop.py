@@ -1,8 +1,14 @@
 """Calibrate a stream as it comes: samples from a socket or a growing file in, calibrated forces out.
 
-Every line is JSON. The first describes the robot as a log does (docs/log-format.md): ``layout``, ``mass_kg``,
-``nominal``, ``dt_s``, ``lag_samples``. Each further one, with ``time_s``, ``raw`` and ``reference``, is
-answered by a line, on the socket or on standard output. An empty line, or the end, ends it.
+Every line is JSON. The first one is a log's description (docs/log-format.md). Each further line is a sample
+with ``time_s`` and
+
+* ``joint_rad`` (in the model's order), ``gyroscope_rad_s`` and ``accelerometer_m_s2`` of encoders and IMU, if
+  the description has ``motion``; or ``reference``, if it has not;
+* ``raw``, the readings of the feet. Such a line is answered by a line, on the socket or on standard output.
+
+An empty line, or the end, ends it. Without ``offset_N`` the robot is taken to stand evenly on all cells at
+the first sample.
 
     python examples/live_loop.py tcp:9760                      # in one shell; or file:stream.jsonl
     python examples/send_log.py walk.parquet tcp:9760 --fast   # in another
@@ -19,18 +25,62 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.calibration import FeetLayout, Flag, FootCalibrator, FootLayout, Parameters, Reference
+from surefoot.calibration import GRAVITY, Flag, FootCalibrator, Parameters, Reference
+from surefoot.experiments.logs.description import Description
+from surefoot.robot import RobotState
 
 
-def calibrator_of(robot: dict, method: str) -> FootCalibrator:
-    """Make a calibrator for the robot that a description is about."""
-    feet = []
-    for foot in robot["layout"]:
-        wrench_map, position = np.array(foot["wrench_map"]), np.array(foot["position_cell_sole_m"])
-        feet.append(FootLayout(foot["name"], wrench_map, tuple(foot["channel_names"]), position))
-    start = Parameters(*(np.array(robot["nominal"][key]) for key in ("scale_N_per_count", "offset_N")))
-    options = {"mass": robot["mass_kg"], "dt": robot["dt_s"], "lag": robot["lag_samples"]}
-    return FootCalibrator(FeetLayout(tuple(feet)), method, initial=start, **options)
+class LiveRobot:
+    """The robot of a description: its state by joints and IMU, if it has a model, and its calibrator."""
+
+    def __init__(self, description: dict, method: str, folder: Path = Path()) -> None:
+        self.facts = Description.read(description, "the first line")
+        motion, self.method = self.facts.motion, method
+        self.dt = 1.0 / 80.0 if np.isnan(self.facts.dt_s) else self.facts.dt_s
+        self.state: RobotState | None = None
+        self.calibrator: FootCalibrator | None = None
+        if motion is not None:
+            rate = 1.0 / (self.dt if np.isnan(motion.dt_s) else motion.dt_s)
+            self.state = RobotState(
+                folder / motion.model, feet=motion.soles, imu=motion.imu, held=motion.held_rad, rate=rate,
+                layout=self.facts.layout, mass=self.facts.mass_kg, delay=motion.delay_s,
+                averaged=motion.averaged, dt=self.dt, age=motion.readings_age_s, momentum=method == "moment",
+            )  # fmt: skip
+
+    def take(self, sample: dict, dt: float | None) -> dict | None:
+        """Take in one sample; return the answer to one of the feet."""
+        if self.state is not None and "joint_rad" in sample:
+            parts = (sample[key] for key in ("joint_rad", "gyroscope_rad_s", "accelerometer_m_s2"))
+            self.state.update(*parts, sample["time_s"])
+        if "raw" not in sample:
+            return None
+        raw = np.array(sample["raw"], dtype=float)
+        if self.calibrator is None:
+            self.calibrator = self._start(raw)
+        if self.state is None:
+            contacts = ("stance", "swing")
+            parts = {k: np.array(v, bool if k in contacts else float) for k, v in sample["reference"].items()}
+            reference = Reference(**parts)
+        else:
+            reference = self.state.reference(sample["time_s"])
+        estimate = self.calibrator.update(raw, reference, dt)
+        answer = {"time_s": sample["time_s"], "force_N": estimate.force.tolist()}
+        answer |= {
+            "vgrf_N": estimate.vgrf.tolist(),
+            "cop_m": estimate.cop.tolist() if estimate.cop_valid else None,
+        }
+        return answer | {"flags": [str(Flag(flag).name) if flag else "" for flag in estimate.flags.tolist()]}
+
+    def _start(self, raw: np.ndarray) -> FootCalibrator:
+        """Make the calibrator, by the first reading of the feet."""
+        facts, state = self.facts, self.state
+        scale, offset = facts.nominal
+        evenly = facts.mass_kg * GRAVITY / len(raw) - scale * np.nan_to_num(raw)
+        start = Parameters(scale, np.where(np.isnan(offset), evenly, offset))
+        lag = facts.lag_samples if state is None else state.lag
+        return FootCalibrator(
+            facts.layout, self.method, initial=start, mass=facts.mass_kg, dt=self.dt, lag=lag
+        )
 
 
 def run(lines: Iterable[str], answer: Callable[[str], None], method: str = "moment") -> np.ndarray:
@@ -41,24 +91,17 @@ def run(lines: Iterable[str], answer: Callable[[str], None], method: str = "mome
         to when its answer was on its way.
     """
     stream, latency, before = iter(lines), [], None
-    calibrator = calibrator_of(json.loads(next(stream)), method)
+    robot = LiveRobot(json.loads(next(stream)), method)
     for line in stream:
         if not line.strip():
             break
         read = time.monotonic()
         sample = json.loads(line)
-        reference = Reference(
-            **{key: np.array(value, dtype=bool if key in ("stance", "swing") else float)
-               for key, value in sample["reference"].items()}
-        )  # fmt: skip
-        dt = None if before is None else sample["time_s"] - before
-        before = sample["time_s"]
-        estimate = calibrator.update(np.array(sample["raw"], dtype=float), reference, dt)
-        found = {"time_s": before, "force_N": estimate.force.tolist(), "vgrf_N": estimate.vgrf.tolist()}
-        found["cop_m"] = estimate.cop.tolist() if estimate.cop_valid else None
-        found["flags"] = [str(Flag(flag).name) if flag else "" for flag in estimate.flags.tolist()]
-        answer(json.dumps(found) + "\n")
-        latency.append(time.monotonic() - sample.get("sent_s", read))
+        found = robot.take(sample, None if before is None else sample["time_s"] - before)
+        if found is not None:
+            before = sample["time_s"]
+            answer(json.dumps(found) + "\n")
+            latency.append(time.monotonic() - sample.get("sent_s", read))
     return np.array(latency)
 
 

@@ -3,7 +3,7 @@
     python examples/send_log.py walk.parquet tcp:9760 [--fast]
     python examples/send_log.py walk.parquet file:stream.jsonl [--fast]
 
-Needs the extra ``[experiments]``; the receiver does not.
+Both need the extra ``[experiments]``.
 """
 
 import argparse

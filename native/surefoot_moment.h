@@ -1992,7 +1992,8 @@ SF_API int sf_moment_step(const sf_config *c, const sf_moment_config *m, sf_mome
     sf_fault_sample(c, &s->faults, s->published.mean, reference->stance, sample.force, sample.read, kinds);
     for (int i = 0; i < K; i++) {
         sample.force[i] -= s->shift[i];
-        if (s->faults.lost[i] > (sf_real)0.5) s->front.silent[i] = 0; /* others stand in for it */
+        /* the others of its plate stand in for one that is out */
+        if (s->faults.lost[i] > (sf_real)0.5 && sf_lost_of_plate(c, &s->faults, i) < (sf_real)1.5) s->front.silent[i] = 0;
     }
     sf_align(c, &s->front, &sample);
     if (sample.gap && dt > 0 && sf_finite(dt)) sf_age(c, m, s, sf_min(dt, m->longest_pause));

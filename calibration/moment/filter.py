@@ -220,8 +220,9 @@ class MomentFilter:
             history, weight = front.history.copy(), self.setup.weight
             history[-2] = self.faults.smooth(history[-3], history[-2], history[-1], weight)
             front = front._replace(history=history)
-        # Other channels stand in for one that is out.
-        silent = np.where(faults.lost > 0.5, 0.0, sample.silent)
+        # The other channels of a plate stand in for one that is out.
+        stands_in = (faults.lost > 0.5) & (self.faults.stand_in.count_lost(faults.lost) < 1.5)
+        silent = np.where(stands_in, 0.0, sample.silent)
         front, sample = front._replace(silent=silent), sample._replace(silent=silent)
         state = state._replace(front=front, faults=faults)
         if sample.gap and 0.0 < dt < np.inf:

@@ -185,6 +185,26 @@ def test_a_missing_sample_is_held_and_flagged(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("channels", [slice(0, 8), slice(0, 4)], ids=["all", "one foot"])
+def test_silent_channels_have_no_centre_of_pressure_after_a_quarter_of_a_second(name, channels):
+    (raw, reference), silent = logs(1)[0], slice(120, 200)
+    raw[silent, channels] = np.nan
+    estimates = run(build(name), raw, reference)[1]
+    valid = np.array([one.cop_valid for one in estimates])
+    left, right = np.array([one.cop_foot_valid for one in estimates]).T
+    flags = np.array([one.flags for one in estimates])
+    assert valid[60:120].all()
+    assert valid[120:128].all()
+    assert not valid[142:200].any()
+    assert not left[142:200].any()
+    assert right[142:200].any() == (channels.stop == 4)
+    assert valid[201:].all()
+    assert (flags[silent, channels] & Flag.MISSING).all()
+    for one in estimates:
+        np.testing.assert_array_equal(np.isnan(one.cop).any(), not one.cop_valid)
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_bad_reference_is_held_and_flagged(name):
     log = walk(0, duration=0.0, stand=1.0)
     for field in ("com", "com_acceleration", "angular_momentum_rate", "position_sole", "R_level_sole"):

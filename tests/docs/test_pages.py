@@ -46,10 +46,10 @@ def blocks(page: Path, language: str) -> Iterator[tuple[str, str | None]]:
             yield "\n" * text[: block.start(2)].count("\n") + block[2], block[3]
 
 
-def standing_robot(_: Any = None) -> dict[str, Any]:
-    """A robot that stands still, for a second."""
+def standing_beliefs() -> dict[str, Any]:
+    """The beliefs of a robot that stands still."""
     still = np.zeros(3)
-    beliefs = {
+    return {
         "com": np.array([0.02, 0.0, 0.26]),
         "com_acceleration": still,
         "angular_momentum_rate": still,
@@ -60,8 +60,15 @@ def standing_robot(_: Any = None) -> dict[str, Any]:
         "accelerometer": np.array([0.0, 0.0, GRAVITY]),
         "gyroscope": still,
     }
-    counts = np.full(8, 5.3 * GRAVITY / 8 / 2e-5)
-    return {"scale": np.full(8, 2e-5), "offset": np.zeros(8), "robot": [(counts, beliefs)] * 80}
+
+
+def standing_robot(_: Any = None) -> dict[str, Any]:
+    """A NAO that stands still for two seconds: its model, and what its sensors read."""
+    model = resources.files("surefoot.envs") / "robots" / "nao.xml"
+    Path("nao.xml").write_text(model.read_text(encoding="utf-8"), encoding="utf-8")
+    counts, up = np.full(8, 5.3 * GRAVITY / 8 / 2e-5), np.array([0.0, 0.0, GRAVITY])
+    robot = [(0.01 * k, np.zeros(24), np.zeros(3), up, counts) for k in range(200)]
+    return {"scale": np.full(8, 2e-5), "offset": np.zeros(8), "robot": robot}
 
 
 def recorded_leg(_: Any = None) -> dict[str, Any]:
@@ -103,7 +110,7 @@ def gpu_simulator(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     for path in MANAGERS:
         monkeypatch.setitem(sys.modules, path, ModuleType(path))
         vars(sys.modules[path]).update(bases | configurations)
-    _, beliefs = standing_robot()["robot"][0]
+    beliefs = standing_beliefs()
     beliefs = {name: torch.as_tensor(value).expand(2, *value.shape) for name, value in beliefs.items()}
     return {
         "num_envs": 2,

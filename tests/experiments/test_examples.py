@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surefoot.calibration import replay
+import surefoot
+from surefoot.calibration import GRAVITY, replay
 from surefoot.experiments.logs.format import Log
 
 
@@ -92,3 +93,30 @@ def test_a_file_that_stops_growing_ends_the_loop(examples: Any, tmp_path: Path) 
     path = tmp_path / "stream.jsonl"
     path.write_text("one\ntwo\nthr")
     assert list(live_loop.follow(path, patience=0.02)) == ["one\n", "two\n"]
+
+
+def test_the_smallest_description_is_enough(examples: Any, tmp_path: Path) -> None:
+    """A NAO that stands on cells that read from another zero: a model, joints, an IMU and counts."""
+    live_loop, _ = examples
+    nao = Path(surefoot.__file__).parents[1] / "envs" / "robots" / "nao.xml"
+    x, y = np.array([0.109, 0.109, -0.061, -0.061]), np.array([0.05, -0.05, 0.05, -0.05])
+    places = np.column_stack([x, y]).tolist()
+    description = {
+        "format": "surefoot-log", "format_version": 1, "mass_kg": 5.3,
+        "layout": [{"name": name, "position_cell_sole_m": places} for name in ("left", "right")],
+        "nominal": {"scale_N_per_count": [2e-5] * 8},
+        "motion": {"model": str(nao), "torso": "torso", "imu": "imu", "soles": ["left_sole", "right_sole"],
+                   "dt_s": 0.01},
+    }  # fmt: skip
+    lines = [json.dumps(description)]
+    for k in range(200):
+        imu = {"gyroscope_rad_s": [0.0] * 3, "accelerometer_m_s2": [0.0, 0.0, GRAVITY]}
+        lines.append(json.dumps({"time_s": 0.01 * k, "joint_rad": [0.0] * 24, **imu}))
+        if k % 2:
+            lines.append(json.dumps({"time_s": 0.01 * k, "raw": [700000.0] * 8}))
+    answers: list[str] = []
+    live_loop.run(lines, answers.append)
+    found = json.loads(answers[-1])
+    assert len(answers) == 100
+    assert sum(found["vgrf_N"]) == pytest.approx(5.3 * GRAVITY, rel=0.02)
+    assert found["cop_m"] is not None

@@ -115,8 +115,8 @@ BAD_MOTIONS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "an IMU on a leg": (
         {"imu": "left_leg"},
-        "the description's motion.imu 'left_leg' is not fixed to the torso 'base' but to 'left_leg'; name the "
-        "body that carries the IMU as the torso.",
+        "the description's motion.imu 'left_leg' is not fixed to the torso 'base' but to 'left_leg'; name "
+        "the body that carries the IMU as the torso.",
     ),
     "one sole": ({"soles": ["left_sole"]}, "the description: motion.soles.1: is missing, got ['left_sole']."),
     "an unknown key": (
