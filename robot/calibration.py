@@ -147,7 +147,7 @@ class CalibrationSetup:
         """Make a calibrator; arguments as of :class:`~surefoot.calibration.FootCalibrator`."""
         # What is handed out is of the last step, of which ideal cells give the mean: of its middle.
         age = np.maximum(self.ages - 0.5 * dt, 0.0)
-        options = {"age": age.tolist(), "curves": self.start.curves} | self.options
+        options: dict[str, Any] = {"age": age.tolist(), "curves": self.start.curves} | self.options
         return FootCalibrator(self.layout, self.method, mass=mass, initial=initial, dt=dt, lag=lag, **options)
 
     def view(self) -> FootView:
