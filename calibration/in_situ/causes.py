@@ -132,7 +132,7 @@ class Cause(NamedTuple):
 EXPERIENCE = Experience(unknown=0.2, mimicked=0.2, size=0.003, spread=0.6)
 """Sound sets leave 0.1 to 0.9 % of the spread, most of it hysteresis; see benchmarks/in_situ_spoilt.py."""
 
-_BEST = 0.001  # share of the spread that the best of sound sensors leave
+_BEST = 0.0025  # share of the spread that good sound sensors leave
 
 _CLOSER = 0.5  # share of the residuals that the closest mistake may leave to be worth a word
 
@@ -175,7 +175,7 @@ def find_causes(evidence: Evidence) -> Causes:
     for one in found:
         left = _measure_left(evidence, one.solution)
         gain = 0.5 * (before - deviance(one.solution)) - penalise(one.free, rows, one.choices)
-        # Residuals below those of the best sensors are no evidence of anything.
+        # Residuals below those of good sensors are no evidence of anything.
         better = np.log(max(size, _BEST) / max(left, _BEST))
         gain = min(gain, _LAW * float(better) - penalise(one.free, _LAW, one.choices)) - np.log(_MISTAKES)
         tried = Tried(Mistake("", one.words, _as_clause(one.cure)), gain, left)

@@ -265,7 +265,9 @@ def test_a_log_without_noise_names_its_cause():
     sets, _ = noisy_sets("leg", np.random.default_rng(0), noise=0.0)
     with pytest.raises(CalibrationRefused, match="The likeliest cause: the zero of 'data set 2' leaps at 35"):
         calibrate_in_situ(leap(sets))
-    with pytest.raises(CalibrationRefused, match=r"The likeliest cause: the added mass of 'data set 3' is 0\.703 kg"):
+    with pytest.raises(
+        CalibrationRefused, match=r"The likeliest cause: the added mass of 'data set 3' is 0\.703 kg"
+    ):
         calibrate_in_situ([*sets[:2], replace(sets[2], added_mass=0.62), sets[3]])
 
 

@@ -95,10 +95,50 @@ def test_sets_that_were_kept_aside_agree(result: CalibratedSensor) -> None:
 def test_the_scale_is_held_against_the_scales(short: Path, tmp_path: Path) -> None:
     config = changed(config_beside(short), limb={"mass_kg": 6.0})
     result = calibrate_in_situ_log(short, config, folder=tmp_path, stem="leg")
-    assert any("and weighs 6 kg (-2" in notice for notice in result.notices)
-    assert "and weighs 6 kg" in result.files["report"].read_text()
+    assert any("limb.mass_kg is 6 kg (-2" in notice for notice in result.notices)
+    assert "limb.mass_kg is 6 kg" in result.files["report"].read_text()
     rows = {row[0]: row[1] for row in result.tables[1].rows}
     assert rows["known mass (kg)"] == "6.00"
+
+
+def write_tool(folder: Path, gravity: Floats, limb_kg: float | None = None, unit: float = 1.0) -> Path:
+    """Write a driver's wrench of a tool of 0.8 kg, divided by a unit in N, and the limb's given mass."""
+    path = folder / "tool.csv"
+    wrench = np.hstack([0.8 * gravity, np.cross([0.004, -0.006, 0.04], gravity)]) + [
+        2.0,
+        1.0,
+        -5.0,
+        0.1,
+        0.2,
+        0.0,
+    ]
+    wrench += np.random.default_rng(8).normal(0.0, [0.03] * 3 + [0.001] * 3, wrench.shape)
+    names = [f"gravity_{axis}_m_s2" for axis in "xyz"] + list(WRENCH)
+    table = pd.DataFrame(np.hstack([gravity, wrench / unit]), columns=names)
+    table.to_csv(path, index=False)
+    limb = "" if limb_kg is None else f"[limb]\nmass_kg = {limb_kg}\n"
+    path.with_suffix(".toml").write_text(f'[columns]\ntime = ""\n[units]\nraw = "N"\n{limb}')
+    return path
+
+
+def test_a_tool_that_turned_in_one_plane_has_a_page(tmp_path: Path) -> None:
+    angle = np.linspace(-1.0, 1.4, 30)
+    gravity = GRAVITY * np.column_stack([np.zeros(30), np.sin(angle), -np.cos(angle)])
+    result = calibrate_in_situ_log(write_tool(tmp_path, gravity), folder=tmp_path)
+    assert result.files["report"].exists()
+    assert result.fit.limb.mass == pytest.approx(0.8, abs=0.02)
+    assert any("in one plane only" in notice for notice in result.notices)
+
+
+def test_newtons_that_contradict_the_given_mass_of_the_limb_are_refused(
+    tmp_path: Path, undrawn: None
+) -> None:
+    gravity = Rotation.random(40, random_state=6).apply([0.0, 0.0, -GRAVITY])
+    with pytest.raises(
+        CalibrationRefused, match=r"limb\.mass_kg is 0\.8 kg \(-89\.8 %\).* kgf that are read as N"
+    ):
+        calibrate_in_situ_log(write_tool(tmp_path, gravity, 0.8, 9.80665), folder=tmp_path)
+    assert not calibrate_in_situ_log(write_tool(tmp_path, gravity, 0.8), folder=tmp_path).fit.refusals
 
 
 def test_without_factory_matrix_full_scale_and_masses(short: Path, tmp_path: Path, no_page: None) -> None:

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
-from scipy.special import fdtri
+from scipy.special import chdtri, fdtri
 
 from surefoot.calibration.arrays import MAD_TO_STD, orthonormal, triangle
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Matrix, Vector
@@ -157,7 +157,7 @@ def _outliers(columns: Matrix, raw: Matrix) -> NDArray[np.bool_]:
         left = readings - some @ map_
         deviation = np.maximum(np.hypot(MAD_TO_STD * np.median(np.abs(left), axis=0), rounding), floor)
         distance = np.sum((left / deviation) ** 2, axis=1)
-        if i == 0 and not (distance > limit).any():
+        if i == 0 and not (distance > float(chdtri(raw.shape[1], _GATE))).any():
             break
         before, weight = weight, 1.0 / (1.0 + distance / raw.shape[1])
         if np.max(np.abs(weight - before)) < _SETTLED:
