@@ -84,7 +84,7 @@ REFUSALS = {
     ),
     "a place that is not as given": (
         misplaced,
-        "The likeliest cause: the added mass of 'data set 4' hangs at (0.259, 0.025, 0.270) m, and (0.259, 0.065",
+        "cause: the added mass of 'data set 4' hangs at (0.259, 0.025, 0.270) m, and (0.259, 0.065",
     ),
     "a dead channel": (
         read_at(1, 3, lambda x: 12.0 + 0.0 * x),

@@ -1,4 +1,4 @@
-"""One tool on an arm, by its driver's newtons: mounting, frames, few poses, coarse converters, and its weight."""
+"""One tool on an arm, by its driver's newtons: mounting, frames, few poses, coarse counts, its weight."""
 
 import re
 
@@ -59,7 +59,7 @@ def test_a_centre_of_mass_that_no_pose_shows_is_as_unsure_as_limbs_are_long():
     gravity = np.tile([[0.0, 0.0, -GRAVITY], [0.0, 0.0, GRAVITY]], (10, 1))
     found = fit(gravity, read(gravity))
     x, y, z = np.sqrt(np.diag(found.covariance)[found.columns.limb][1:])
-    assert x < 0.01 and y < 0.01
+    assert max(x, y) < 0.01
     assert 0.1 < z < 1.0
     assert abs(found.limb.com[2]) < 1.0
 
@@ -91,7 +91,7 @@ def test_readings_that_do_not_follow_gravity_have_one_cause(frame):
         readings = np.hstack([turn.apply(readings[:, :3] - BIAS[:3]), turn.apply(readings[:, 3:] - BIAS[3:])])
     else:
         readings = TOOL.compensate(readings, gravity)
-    with pytest.raises(CalibrationRefused, match="compensated already .* do not turn with the sensor") as no:
+    with pytest.raises(CalibrationRefused, match=r"compensated already .* do not turn with") as no:
         fit(gravity, readings)
     assert "gauge" not in str(no.value)
 

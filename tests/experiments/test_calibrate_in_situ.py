@@ -8,11 +8,14 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import pandas as pd
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+from scipy.spatial.transform import Rotation
 
 from surefoot.arrays import Floats
+from surefoot.calibration import GRAVITY
 from surefoot.calibration.in_situ import read_calibration
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.force_torque import calibrate as module
@@ -104,14 +107,8 @@ def test_the_scale_is_held_against_the_scales(short: Path, tmp_path: Path) -> No
 def write_tool(folder: Path, gravity: Floats, limb_kg: float | None = None, unit: float = 1.0) -> Path:
     """Write a driver's wrench of a tool of 0.8 kg, divided by a unit in N, and the limb's given mass."""
     path = folder / "tool.csv"
-    wrench = np.hstack([0.8 * gravity, np.cross([0.004, -0.006, 0.04], gravity)]) + [
-        2.0,
-        1.0,
-        -5.0,
-        0.1,
-        0.2,
-        0.0,
-    ]
+    wrench = np.hstack([0.8 * gravity, np.cross([0.004, -0.006, 0.04], gravity)])
+    wrench += np.array([2.0, 1.0, -5.0, 0.1, 0.2, 0.0])
     wrench += np.random.default_rng(8).normal(0.0, [0.03] * 3 + [0.001] * 3, wrench.shape)
     names = [f"gravity_{axis}_m_s2" for axis in "xyz"] + list(WRENCH)
     table = pd.DataFrame(np.hstack([gravity, wrench / unit]), columns=names)

@@ -177,7 +177,8 @@ def test_a_log_whose_sign_nothing_can_check_says_so(tmp_path: Path) -> None:
 def test_a_fit_says_that_the_limb_is_not_of_its_given_mass(tmp_path: Path) -> None:
     """To whoever fits the log: `surefoot calibrate ft` and `surefoot check`."""
     log = read_in_situ_log(write(tmp_path, table(), toml("[limb]\nmass_kg = 5.0\n")))
-    assert "The limb comes out at 4 kg, and limb.mass_kg is 5 kg (-20.0 %)" in log.fit("exact counts").warnings[-1]
+    said = log.fit("exact counts").warnings[-1]
+    assert "The limb comes out at 4 kg, and limb.mass_kg is 5 kg (-20.0 %)" in said
 
 
 def test_an_accelerometer_is_calibrated_on_request(tmp_path: Path) -> None:

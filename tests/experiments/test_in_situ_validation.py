@@ -94,7 +94,8 @@ def test_an_added_mass_is_weighed_and_located(mass: float) -> None:
 
 def test_one_direction_does_not_locate_a_mass() -> None:
     found = added_mass(np.ones((9, 6)), np.tile([0.0, 0.0, 9.81], (9, 1)), LIMB)
-    assert np.isnan(found.position).all() and np.isfinite(found.mass)
+    assert np.isnan(found.position).all()
+    assert np.isfinite(found.mass)
 
 
 def test_a_limb_at_rest_has_no_wrench_of_motion() -> None:
