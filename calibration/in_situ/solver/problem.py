@@ -218,7 +218,8 @@ def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) 
     if task.limb is None or task.limb.com is None:
         # Directions of the centre of mass that no torque shows stay within reach of a limb.
         reach = np.zeros((3, problem.parameters))
-        reach[:, MOMENT] = np.eye(3) / (limits.LONGEST_ARM * max(abs(float(shown[MASS])), _LEAST_MASS))
+        longest = limits.LONGEST_ARM * max(abs(float(shown[MASS])), _LEAST_MASS)
+        reach[:, MOMENT] = np.eye(3) / max(longest, float(np.linalg.norm(shown[MOMENT])))
         problem = replace(problem, limb_root=np.concatenate([root, reach]))
     return problem if task.moving else replace(problem, misfit=_misfit(problem, task.factory, shown))
 
