@@ -80,7 +80,7 @@ REFUSALS = {
     "a limb that bends": (bending, "of the readings' spread goes with gravity's squares: the limb bends"),
     "a mass that is not as given": (
         heavier,
-        "The likeliest cause: the added mass of 'data set 3' is 0.703 kg, and 0.620 kg was given (> 99 %)",
+        "The likeliest cause: the added mass of 'data set 3' is 0.703 kg, and 0.620 kg was given (probability",
     ),
     "a place that is not as given": (
         misplaced,
@@ -173,7 +173,7 @@ def test_a_driver_that_takes_the_limbs_weight_off_is_named():
     weight = np.concatenate([MASS * np.eye(3), np.cross(MASS * COM, np.eye(3))], axis=1)
     wave = 0.1 * np.sin(2.0 * leg_sets()[0].time)[:, None] * RESPONSE[:, 0]
     less = [replace(one, raw=one.raw + wave - one.gravity @ weight @ RESPONSE.T) for one in leg_sets()]
-    with pytest.raises(CalibrationRefused, match="Likeliest: the driver takes the limb's weight off already"):
+    with pytest.raises(CalibrationRefused, match="cause: the driver takes the limb's weight off already"):
         calibrate_in_situ(less)
 
 
