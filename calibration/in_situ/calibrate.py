@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
+from surefoot.calibration.diagnosis import CERTAIN
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.causes import Evidence, find_causes, tell_causes
 from surefoot.calibration.in_situ.check import check_sets
@@ -258,7 +259,7 @@ def _name_causes(findings: list[Finding], solved: Solved, accept: str) -> list[F
         causes = find_causes(_gather_evidence(solved.task, sets))
         symptom = tell_causes(symptom, causes, drift.cure if drift else "")
         # Without times hysteresis that nobody sees looks like many a cause.
-        clear = solved.task.timed and causes.diagnosis.is_certain and causes.moved > limits.MOVED
+        clear = solved.task.timed and causes.diagnosis.none < 1.0 - CERTAIN and causes.moved > limits.MOVED
         symptom = replace(symptom, refuses=worst.refuses or bool(worst.contradicts and clear))
         if causes.diagnosis.likely and refused and not accept and worst.name not in DOUBTS:
             follow = (*DOUBTS, "added masses")

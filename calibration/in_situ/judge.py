@@ -145,7 +145,10 @@ def check_scale(fit: InSituFit, heaviest: float, owner: str) -> list[Finding]:
     )
     cure = "Add larger masses or at places further apart, record for longer, or give the limb's mass."
     if abs(mass) + deviation < limits.SCALE * heaviest:
-        reason += " The likeliest cause: the driver takes the limb's weight off already (a payload, gravity compensation)."
+        reason += (
+            " The likeliest cause: the driver takes the limb's weight off already (a payload, gravity "
+            "compensation)."
+        )
         cure = "Log the sensor's own readings, with no payload set in the driver."
         return [Finding("scale", reason, cure, share, limits.SCALE)]
     return [Finding("scale", reason, cure, share, limits.SCALE, contradicts=True)]

@@ -80,7 +80,7 @@ REFUSALS = {
     "a limb that bends": (bending, "of the readings' spread goes with gravity's squares: the limb bends"),
     "a mass that is not as given": (
         heavier,
-        "The likeliest cause: the added mass of 'data set 3' is 0.703 kg, and 0.620 kg was given (probability",
+        "The likeliest cause: the added mass of 'data set 3' is 0.703 kg, and 0.620 kg was given (prob",
     ),
     "a place that is not as given": (
         misplaced,
