@@ -39,29 +39,18 @@ lowest: $(LOWEST)/.made
 RESULTS := out/results
 WALKS ?= 10
 RIGS ?= 12
-EPISODES ?= 16
+EPISODES ?= 8
 HARD_EPISODES ?= 32
 ROBOTS ?= 3
+FEEDS := --severity 1 --severity 2 --feed true --feed raw --feed moment
 results: $(VENV)/.dev
 	$(BIN)/surefoot compare walking --seeds $(WALKS) --out $(RESULTS)/walking
-	for task in balance walk; do for part in \
-		"shipped --severity 1 --severity 2" \
-		"shipped-randomised stabiliser --severity 1 --severity 2 --feed true --feed none --feed moment" \
-		"zero --feed true"; do \
-			$(BIN)/surefoot evaluate $$part --task $$task --seeds $(EPISODES) --jobs 2 \
-				--out $(RESULTS)/$$task/$${part%% *} || exit 1; \
-		done; \
-		$(BIN)/surefoot evaluate $$(printf -- "--page-of $(RESULTS)/$$task/%s/episodes.parquet " \
-			shipped shipped-randomised zero) \
-			--out $(RESULTS)/$$task || exit 1; \
-	done
-	for task in balance-hard walk-hard; do \
-		for part in "shipped --severity 1 --severity 2 --feed true --feed none --feed moment" "zero --feed true"; do \
-			$(BIN)/surefoot evaluate $$part --task $$task --seeds $(HARD_EPISODES) --jobs 2 \
-				--out $(RESULTS)/$$task/$${part%% *} || exit 1; \
-		done; \
-		$(BIN)/surefoot evaluate $$(printf -- "--page-of $(RESULTS)/$$task/%s/episodes.parquet " shipped zero) \
-			--out $(RESULTS)/$$task || exit 1; \
+	for task in balance:NaoBalance walk:NaoCarry; do \
+		$(BIN)/surefoot evaluate surefoot/$${task#*:}-v0 shipped shipped-randomised stabiliser zero $(FEEDS) \
+			--feed weights --feed quasi-static --feed window --seeds $(EPISODES) --jobs 2 \
+			--out $(RESULTS)/$${task%:*} || exit 1; \
+		$(BIN)/surefoot evaluate surefoot/$${task#*:}Hard-v0 shipped zero $(FEEDS) --seeds $(HARD_EPISODES) --jobs 2 \
+			--out $(RESULTS)/$${task%:*}-hard || exit 1; \
 	done
 	$(BIN)/surefoot compare in-situ --seeds $(RIGS) --jobs 2 --out $(RESULTS)/in-situ
 	$(BIN)/surefoot compare robots --seeds $(ROBOTS) --jobs 2 --out $(RESULTS)/robots

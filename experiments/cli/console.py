@@ -28,7 +28,9 @@ Numbers = list[float] | None
 Paths = list[Path] | None
 Feeds = Annotated[
     Names,
-    Option(help="true, raw, weights, tare, quasi-static, window, moment, or module:name; again for more."),
+    Option(
+        help="true, none (raw), weights, tare, quasi-static, window, moment, or module:name; again for more."
+    ),
 ]
 Out = Annotated[Path, Option(help="Folder for everything that is made.")]
 Json = Annotated[bool, Option("--json", help="Print tables and paths as JSON, and nothing else.")]

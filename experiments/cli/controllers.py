@@ -9,7 +9,6 @@ from typer import Argument, Option
 
 from surefoot.experiments.cli.console import (
     CONTROLLERS,
-    Feeds,
     Jobs,
     Json,
     Names,
@@ -75,36 +74,48 @@ def _train(out: Path, options: Any, restart: bool) -> None:
     typer.echo(f"Policy: {out / POLICY}\nCard: {write_card(out)}")
 
 
+Policies = Annotated[
+    Names, Argument(help=f"{CONTROLLERS}; a .zip of Stable-Baselines3; NAME=POLICY, again for more.")
+]
+Feeds = Annotated[
+    Names,
+    Option(
+        "--feed",
+        help="true, raw, weights, tare, quasi-static, window, moment or module:name; again for more.",
+    ),
+]
+Severities = Annotated[
+    Numbers, Option("--severity", help="Factor of the sensors' errors; again for more; else 0.5, 1, 2 and 3.")
+]
+Faults = Annotated[
+    Names, Option("--fault", help="What breaks how likely, dies=0.02; or when; again for more.")
+]
+Scenarios = Annotated[
+    Names, Option(help="payload=1.5, slope=3, friction=0.3, soft=0.05, push=2; again for more.")
+]
+
+
 def evaluate(
+    ctx: typer.Context,
     env: Annotated[str | None, Argument(help="Id of an environment, or module:function.")] = None,
-    policies: Annotated[
-        Names, Argument(help=f"{CONTROLLERS}; a .zip of Stable-Baselines3; NAME=POLICY, again for more.")
-    ] = None,
-    feed: Feeds = None,
-    severity: Annotated[
-        Numbers, Option(help="Factor of the sensors' errors; again for more; else 0.5, 1, 2 and 3.")
-    ] = None,
-    fault: Annotated[
-        Names, Option(help="What breaks how likely, dies=0.02; or when; again for more.")
-    ] = None,
+    policies: Policies = None,
+    feeds: Feeds = None,
+    severities: Severities = None,
+    faults: Faults = None,
     seeds: Annotated[int | None, Option(help="Episodes of each combination; else 50.", min=1)] = None,
     first_seed: Annotated[int | None, Option(help="The first of the seeds; else 20000.", min=0)] = None,
     cells: Annotated[str | None, Option(help="Preset of the sensors under the feet.")] = None,
     soles: Annotated[bool, Option("--soles", help="Flat soles under feet without area.")] = False,
-    option: Annotated[Names, Option(help="Of the environment, NAME=VALUE; again for more.")] = None,
-    scenario: Annotated[
-        Names, Option(help="payload=1.5, slope=3, friction=0.3, soft=0.05, push=2 ...")
-    ] = None,
+    env_options: Annotated[Names, Option("--option", help="Of the environment, NAME=VALUE.")] = None,
+    scenario: Scenarios = None,
     observe: Annotated[Names, Option(help="Parts that the policy sees, or module:function.")] = None,
     wrap: Annotated[str | None, Option(help="Wrapper of the training, module:Class.")] = None,
-    statistics: Annotated[Path | None, Option(help="File of VecNormalize, a pickle.")] = None,
+    statistics: Annotated[str | None, Option(help="File of VecNormalize, a pickle.")] = None,
     trusted: Annotated[bool, Option("--trusted", help="Trust makers of pickles: their code runs.")] = False,
     settle: Annotated[float | None, Option(help="Time in s before the policy is asked.", min=0.0)] = None,
     duration: Annotated[float | None, Option(help="Longest duration of an episode in s.", min=0.0)] = None,
-    metric: Annotated[Names, Option(help="Name in info whose mean becomes a column; again for more.")] = None,
-    config: Annotated[
-        Path | None, Option(help="TOML or JSON of all this; options replace its values.")
-    ] = None,
+    metrics: Annotated[Names, Option("--metric", help="Name in info whose mean is a column.")] = None,
+    config: Annotated[Path | None, Option(help="TOML or JSON; options replace its values.")] = None,
     out: Annotated[Path, Option(help="Folder; one that was stopped goes on.")] = Path("out/evaluate"),
     case: Annotated[int | None, Option(help="Only run this episode of the folder again.", min=0)] = None,
     video: Annotated[Path | None, Option(help="Film that episode into this .mp4 as well.")] = None,
@@ -115,39 +126,23 @@ def evaluate(
     as_json: Json = False,
 ) -> None:
     """Evaluate policies on true, drifting and calibrated feet, on the same episodes; write a page."""
-    from surefoot.experiments.evaluate.command import Wanted, backend_of, read_config
+    from surefoot.experiments.evaluate.command import Wanted, find_backend, load_config
 
-    given: dict[str, Any] = {
-        "env": env,
-        "policies": policies,
-        "feeds": feed,
-        "severities": severity,
-        "faults": fault,
-        "seeds": seeds,
-        "first_seed": first_seed,
-        "cells": cells,
-        "soles": soles or None,
-        "env_options": option,
-        "scenario": scenario,
-        "observe": observe,
-        "wrap": wrap,
-        "statistics": None if statistics is None else str(statistics),
-        "settle": settle,
-        "duration": duration,
-        "metrics": metric,
-    }
     if video is not None and (case is None or video.suffix != ".mp4"):
         fail(f"--video films one episode into an .mp4: give --case and such a name, got '{video}'.")
     with one_line_errors(out, "what is finished is kept."):
-        named = {name: value for name, value in given.items() if value not in (None, [])}
-        wanted = Wanted.of({**read_config(config, out, case is not None and not named), **named})
+        given = {
+            name: value
+            for name, value in ctx.params.items()
+            if name in Wanted.__dataclass_fields__ and value not in (None, False, [], ())
+        }
+        wanted = Wanted.of({**load_config(config, out, case is not None and not given), **given})
         if case is not None:
             _repeat(wanted, out, case, video, trusted, as_json)
             return
-        with backend_of(backend, address):
-            results = wanted.run(
-                out, jobs=jobs if backend == "loky" else None, trusted=trusted, any_version=any_version
-            )
+        how: Any = {"jobs": jobs if backend == "loky" else None, "any_version": any_version}
+        with find_backend(backend, address):
+            results = wanted.run(out, trusted=trusted, **how)
     _report(results, as_json)
 
 
@@ -172,17 +167,17 @@ def _report(results: Any, as_json: bool) -> None:
 
 def _repeat(wanted: Any, out: Path, case: int, video: Path | None, trusted: bool, as_json: bool) -> None:
     """Run one episode again, and say whether it comes out the same to the last digit."""
-    from surefoot.experiments.evaluate.command import film
+    from surefoot.experiments.evaluate.command import film_case
     from surefoot.experiments.evaluate.episode import OUTCOME
-    from surefoot.experiments.evaluate.grid import read_evaluation, repeat
+    from surefoot.experiments.evaluate.grid import load_evaluation, repeat
     from surefoot.experiments.study.progress import working
     from surefoot.experiments.study.tables import Verdict, table_of
 
     with working(f"running case {case} again") as then:
-        results = read_evaluation(wanted.plan(trusted=trusted), out)
+        results = load_evaluation(wanted.plan(trusted=trusted), out)
         repeated = repeat(results, case)
         then("filming it")
-        files = {} if video is None else {"film": film(results, case, video)}
+        files = {} if video is None else {"film": film_case(results, case, video)}
     columns: dict[str, Any] = {
         "outcome": lambda name: name,
         "now": lambda name: _exact(repeated.now[name]),

@@ -94,7 +94,7 @@ class Wanted:
             "cells": self.cells,
             "sensors": {**self.sensors, **({"soles": True} if self.soles else {})},
             "calibration": self.calibration,
-            "env_options": _named_values(self.env_options),
+            "env_options": _values_by_name(self.env_options),
             "scenario": scenario_of(self.scenario),
             "observe": observe,
             "wrap": self.wrap,
@@ -105,7 +105,7 @@ class Wanted:
         }
 
 
-def read_config(path: Path | None, out: Path, repeats: bool) -> dict[str, Any]:
+def load_config(path: Path | None, out: Path, repeats: bool) -> dict[str, Any]:
     """Return what a file asks for; that of the folder if nothing else is said and an episode is repeated."""
     if path is None:
         path = out / CONFIG
@@ -114,7 +114,7 @@ def read_config(path: Path | None, out: Path, repeats: bool) -> dict[str, Any]:
     return dict(read_json(path) if path.suffix == ".json" else read_toml(path))
 
 
-def backend_of(name: str, address: str | None) -> AbstractContextManager[Any]:
+def find_backend(name: str, address: str | None) -> AbstractContextManager[Any]:
     """Return the context in which joblib sends episodes to a backend; ValueError without its package."""
     if name == "loky":
         if address is not None:
@@ -135,7 +135,7 @@ def backend_of(name: str, address: str | None) -> AbstractContextManager[Any]:
         ) from error
 
 
-def film(results: Evaluation, case: int, path: Path) -> Path:
+def film_case(results: Evaluation, case: int, path: Path) -> Path:
     """Film one episode of an evaluation into an .mp4; ValueError if its environment cannot be drawn."""
     from surefoot.experiments.walks.video import film_stage, prepare_rendering
 
@@ -170,7 +170,7 @@ def _faults(given: Any) -> Any:
     return tuple(given)
 
 
-def _named_values(given: Any) -> dict[str, Any]:
+def _values_by_name(given: Any) -> dict[str, Any]:
     """Return options of NAME=VALUE; values are JSON where they can be, else text."""
     if isinstance(given, Mapping):
         return dict(given)

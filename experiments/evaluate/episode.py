@@ -120,12 +120,12 @@ class Stage:
         longest = float("inf") if self.setup.duration is None else round(self.setup.duration / dt)
         still = np.zeros(env.action_space.shape or (), dtype=np.float32)
         observation, _ = env.reset(seed=seed)
-        begun = done = False
+        started = done = False
         while not done:
             asked = len(feet.fed) >= waiting
-            if asked and not begun and hasattr(self.policy, "reset"):
+            if asked and not started and hasattr(self.policy, "reset"):
                 self.policy.reset()
-            begun = asked
+            started = asked
             action = self.policy(self.observe(observation)) if asked else still
             observation, reward, fell, truncated, info = env.step(action)
             passed = len(feet.fed)

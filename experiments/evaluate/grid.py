@@ -15,7 +15,7 @@ from surefoot.experiments.evaluate.episode import OUTCOME, VERSIONS, Stage, outc
 from surefoot.experiments.evaluate.feet import method_of
 from surefoot.experiments.evaluate.policies import fingerprint, portable
 from surefoot.experiments.evaluate.setup import Setup
-from surefoot.experiments.evaluate.statistics import NOBODY, TRUE
+from surefoot.experiments.evaluate.statistics import NOBODY, RAW, TRUE
 from surefoot.experiments.policy.controllers import short_name
 from surefoot.experiments.policy.tasks import TRAINING_SEEDS
 from surefoot.experiments.study.page import save_frames
@@ -114,7 +114,9 @@ class Plan:
 
     @cached_property
     def _hashes(self) -> dict[str, list[str]]:
-        return {name: [_named(one, self.setup.env_id) for one in arm] for name, arm in self.policies.items()}
+        return {
+            name: [_identity(one, self.setup.env_id) for one in arm] for name, arm in self.policies.items()
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,22 +198,8 @@ def evaluate(
         statistics: ``VecNormalize`` or its file, of a Stable-Baselines3 policy that was trained with it.
         trusted: Whether zips of Stable-Baselines3, which run pickled code, may be opened.
         any_version: Whether to go on with rows that other versions made.
-        **setup: How the environment is made and worn:
-
-            * ``env_options``: options of ``make_env``.
-            * ``cells``: the instruments under the feet, a preset's name or a configuration.
-            * ``sensors``: further options of :class:`~surefoot.wrappers.FootSensors`, such as ``soles``.
-            * ``calibration``: options of :class:`~surefoot.wrappers.SelfCalibration`, such as ``errors``.
-            * ``faults``: what breaks when, or how likely, ``{"dies": 0.02}``.
-            * ``scenario``: what differs from the training, see
-              :mod:`surefoot.experiments.evaluate.scenarios`.
-            * ``observe``: how foot quantities enter the policy's observation: names of parts, joined to one
-              vector, or a function of the sensors' observation. By default the policy gets what its own space
-              names, or the environment's own observation unchanged.
-            * ``wrap``: a function that wraps the environment with its sensors as in training.
-            * ``settle``: time in s before the policy is asked; by default the task's own quiet stand.
-            * ``duration``: longest duration of an episode in s; by default the environment's.
-            * ``metrics``: names in ``info``, or a function of it, whose means become columns.
+        **setup: Fields of :class:`~surefoot.experiments.evaluate.setup.Setup`: how the environment is made,
+            worn and observed.
 
     Raises:
         TypeError: If the environment is not built on MuJoCo.
@@ -222,16 +210,23 @@ def evaluate(
     plan = Plan.of(make_env, policy, statistics=statistics, trusted=trusted, **given)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()) if out is None else out)
-        cases, store = plan.cases(), Store(folder)
-        if (folder / PLAN).is_file():
-            store.read()
-            # What is whole is not run again, whatever made it.
-            any_version |= all(store.holds(case, any_version=True) for case in cases)
-        if not all(store.holds(case, any_version=any_version) for case in cases):
-            with working("trying out policies and feet"):
-                plan.try_out()
-        stack.enter_context(store.open_for(plan.describe(), versions(), any_version=any_version))
-        crew = stack.enter_context(runner(jobs))
+        rows, computed = run_plan(plan, folder, jobs=jobs, any_version=any_version)
+    return Evaluation(plan, None if out is None else folder, rows, computed)
+
+
+def run_plan(
+    plan: Plan, folder: Path, *, jobs: int | None = 1, any_version: bool = False
+) -> tuple[Frame, int]:
+    """Run the episodes that a folder lacks; return all rows, and how many were run."""
+    cases, store = plan.cases(), Store(folder)
+    if (folder / PLAN).is_file():
+        store.read()
+        # What is whole is not run again, whatever made it.
+        any_version |= all(store.holds(case, any_version=True) for case in cases)
+    if not all(store.holds(case, any_version=any_version) for case in cases):
+        with working("trying out policies and feet"):
+            plan.try_out()
+    with store.open_for(plan.describe(), versions(), any_version=any_version), runner(jobs) as crew:
         computed = crew.run(
             "Episodes",
             cases,
@@ -244,10 +239,10 @@ def evaluate(
         )
         rows = store.rows(TABLE, cases).sort_values("case", ignore_index=True)
         save_frames(folder, {TABLE: rows})
-    return Evaluation(plan, None if out is None else folder, rows, computed)
+    return rows, computed
 
 
-def read_evaluation(plan: Plan, folder: Path) -> Evaluation:
+def load_evaluation(plan: Plan, folder: Path) -> Evaluation:
     """Return what a folder holds of an evaluation, also of one under way; ValueError if nothing."""
     store, cases = Store(folder), plan.cases()
     if not (folder / PLAN).is_file():
@@ -275,7 +270,7 @@ def _name_of(policy: Any) -> str:
     return short_name(str(policy)) if isinstance(policy, str | Path) else "policy"
 
 
-def _named(policy: Any, env_id: str) -> str:
+def _identity(policy: Any, env_id: str) -> str:
     """Return a policy for the plan: its name, if it has one, and its hash."""
     own = fingerprint(policy, env_id)
     return own if not isinstance(policy, str) or own == policy else f"{policy} {own}"
@@ -321,6 +316,7 @@ def _grid(
         if isinstance(severity, str | bool) or not (isfinite(severity) and severity >= 0.0):
             raise ValueError(f"A severity must be finite and not negative, got {severity!r}.")
     numbers = count()
+    feeds = [RAW if feed == "none" else feed for feed in feeds]
     for arm, members in arms.items():
         # Who does nothing looks at no feed, and is run on true feet alone.
         looked_at = (TRUE,) if members == (NOBODY,) else feeds
@@ -334,7 +330,7 @@ def run_case(setup: Setup, policy: Any, episode: Episode, key: str, who: str = "
 
     ValueError if the file behind a policy is no longer the one whose hash ``who`` has.
     """
-    if who and isinstance(policy, str) and _named(policy, setup.env_id) != who:
+    if who and isinstance(policy, str) and _identity(policy, setup.env_id) != who:
         raise ValueError(
             f"The file behind the policy '{policy}' is another one than the study began with; put the old "
             "one back, or begin in another folder."

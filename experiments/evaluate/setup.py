@@ -22,7 +22,27 @@ Observe = Callable[[Mapping[str, Any]], Any]
 
 @dataclass(frozen=True)
 class Setup:
-    """How an environment is made and worn. See :func:`surefoot.evaluate` for the meaning of the fields."""
+    """How an environment is made, worn and observed.
+
+    Attributes:
+        make_env: An id of Gymnasium, a function, or ``"module:function"``.
+        env_options: Options of ``make_env``.
+        cells: The instruments under the feet, a preset's name or a configuration.
+        sensors: Further options of :class:`~surefoot.wrappers.FootSensors`, such as ``soles``.
+        calibration: Options of :class:`~surefoot.wrappers.SelfCalibration`, such as ``errors``.
+        faults: What breaks when, or how likely, ``{"dies": 0.02}``.
+        scenario: What differs from the training, see :mod:`surefoot.experiments.evaluate.scenarios`.
+        observe: How foot quantities enter the policy's observation: names of parts, joined to one vector, or
+            a function of the sensors' observation. By default the policy gets what its own space names, or
+            the environment's own observation unchanged.
+        wrap: A function that wraps the environment with its sensors as in training.
+        settle: Time in s before the policy is asked; by default the task's own quiet stand.
+        duration: Longest duration of an episode in s; by default the environment's.
+        metrics: Names in ``info``, or a function of it, whose means become columns.
+
+    Raises:
+        ValueError: If there is no such environment, or a value has no meaning.
+    """
 
     make_env: Any
     env_options: Mapping[str, Any] = field(default_factory=dict)

@@ -142,7 +142,7 @@ def improvement(differences: Floats) -> Any:
     return np.mean((differences > 0.0) + 0.5 * (differences == 0.0), axis=-1)
 
 
-def bootstrapped(values: Column, statistic: Callable[[Floats], Any]) -> Estimate:
+def bootstrap(values: Column, statistic: Callable[[Floats], Any]) -> Estimate:
     """Return a statistic of episodes with its interval over trainings and seeds."""
     if not len(values):
         return Estimate(*(float("nan"),) * 3)
@@ -151,12 +151,12 @@ def bootstrapped(values: Column, statistic: Callable[[Floats], Any]) -> Estimate
         groups = [group.to_numpy(dtype=np.float64) for _, group in values.groupby("training")]
     else:
         groups = [values.to_numpy(dtype=np.float64)]
-    drawn = np.concatenate([_resampled(groups, rng) for _ in groups], axis=1)
+    drawn = np.concatenate([_draw_episodes(groups, rng) for _ in groups], axis=1)
     low, high = np.quantile(statistic(drawn), [0.025, 0.975])
     return Estimate(float(statistic(np.concatenate(groups))), float(low), float(high))
 
 
-def _resampled(groups: list[Floats], rng: np.random.Generator) -> Floats:
+def _draw_episodes(groups: list[Floats], rng: np.random.Generator) -> Floats:
     """Draw one training for each resample, and its episodes with replacement."""
     size = min(map(len, groups))
     drawn = np.empty((RESAMPLES, size))

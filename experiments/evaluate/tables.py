@@ -10,7 +10,7 @@ from surefoot.experiments.evaluate.statistics import (
     TRUE,
     Estimate,
     Run,
-    bootstrapped,
+    bootstrap,
     difference,
     half_fall,
     improvement,
@@ -86,7 +86,7 @@ def trainings_text(runs: Frame) -> str:
 def score_table(frame: Frame, name: str = "scores_0", title: str = "") -> Table:
     """Return one row per feed and severity of one policy."""
 
-    def won_back(runs: Frame) -> str:
+    def recovery(runs: Frame) -> str:
         found = share_won_back(frame, _run_of(runs))
         if found is None:
             return ""
@@ -94,7 +94,7 @@ def score_table(frame: Frame, name: str = "scores_0", title: str = "") -> Table:
             return Valued.of("loss not clear", None)
         return estimate_text(found, 100.0, 2, " %")
 
-    def returned(runs: Frame) -> str:
+    def mean_return(runs: Frame) -> str:
         return interval_text(mean_over(_episodes(runs)), digits=4)
 
     columns: dict[str, Cell] = {
@@ -102,14 +102,14 @@ def score_table(frame: Frame, name: str = "scores_0", title: str = "") -> Table:
         "severity": lambda runs: (
             NOTHING if runs["feed"].iloc[0] == TRUE else decimal(runs["severity"].iloc[0])
         ),
-        "return": returned,
-        "loss won back": won_back,
+        "return": mean_return,
+        "loss won back": recovery,
         "falls": count_of("fell"),
         "time to fall / s": _times_to_fall,
         "interquartile mean": lambda runs: estimate_text(
-            bootstrapped(_episodes(runs), interquartile_mean), digits=4
+            bootstrap(_episodes(runs), interquartile_mean), digits=4
         ),
-        "worst decile": lambda runs: estimate_text(bootstrapped(_episodes(runs), worst_decile), digits=4),
+        "worst decile": lambda runs: estimate_text(bootstrap(_episodes(runs), worst_decile), digits=4),
         "CoP error / mm": mean_of("cop_error", 1e3),
     }
     rows = [runs for part in by_way(frame, "feed").values() for _, runs in part.groupby("severity")]
@@ -168,7 +168,7 @@ def _compare(frame: Frame, first: Run, second: Run) -> Iterator[Compared]:
     interval = difference(frame, first, second)
     if interval is not None:
         a, b = pair(frame, first, second)
-        yield Compared(first, second, interval, bootstrapped(a - b, improvement))
+        yield Compared(first, second, interval, bootstrap(a - b, improvement))
 
 
 def difference_table(found: list[Compared], name: str, title: str) -> Table:

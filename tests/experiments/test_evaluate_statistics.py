@@ -11,7 +11,7 @@ from surefoot.experiments.evaluate.page import answer
 from surefoot.experiments.evaluate.statistics import (
     HalfFall,
     Run,
-    bootstrapped,
+    bootstrap,
     difference,
     fieller,
     half_fall,
@@ -134,9 +134,9 @@ def test_robust_means_have_intervals() -> None:
     assert worst_decile(values) == 0.5
     assert improvement(np.array([1.0, 0.0, -1.0, 2.0])) == 0.625
     column = returns_of(made(), Run("ppo", "raw", 1.0))
-    found = bootstrapped(column, interquartile_mean)
+    found = bootstrap(column, interquartile_mean)
     assert found.low < found.value < found.high
-    many = bootstrapped(returns_of(made(trainings=5, apart=5.0), Run("ppo", "raw", 1.0)), interquartile_mean)
+    many = bootstrap(returns_of(made(trainings=5, apart=5.0), Run("ppo", "raw", 1.0)), interquartile_mean)
     assert many.high - many.low > found.high - found.low
 
 

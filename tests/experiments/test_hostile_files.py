@@ -52,7 +52,7 @@ def large(path: Path) -> None:
 
 def read_plan(path):
     """Read what surefoot evaluate --config is given."""
-    return command.read_config(path, path.parent, False)
+    return command.load_config(path, path.parent, False)
 
 
 MOTION = "time_s,target_knee_rad,stance_left_1,stance_right_1,swing_left_1,swing_right_1,rest_1"
