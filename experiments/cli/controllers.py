@@ -81,7 +81,7 @@ Feeds = Annotated[
     Names,
     Option(
         "--feed",
-        help="true, raw, weights, tare, quasi-static, window, moment or module:name; again for more.",
+        help="true, raw, weights, tare, quasi-static, window, moment or module:name.",
     ),
 ]
 Severities = Annotated[

@@ -106,7 +106,7 @@ class Wanted:
 
 
 def load_config(path: Path | None, out: Path, repeats: bool) -> dict[str, Any]:
-    """Return what a file asks for; that of the folder if nothing else is said and an episode is repeated."""
+    """Return the keys of a file; of the folder's own if an episode is repeated by it alone."""
     if path is None:
         path = out / CONFIG
         if not (repeats and path.is_file()):

@@ -175,10 +175,16 @@ def put_on(
     method, given = method_of(feed), dict(sensors or {})
     if warning := warning_of_true_forces(bare):
         raise ValueError(warning)
-    source = with_source(bare, **{name: given.pop(name) for name in _PLACES if name in given})
-    below = source if scenario is None else scenario(source)
     true = method is None or severity == 0.0
-    tap = TruthTap(below)
-    worn = FootSensors(tap, cells, severity=1.0 if true else severity, faults=() if true else faults, **given)
+    try:
+        source = with_source(bare, **{name: given.pop(name) for name in _PLACES if name in given})
+        tap = TruthTap(source if scenario is None else scenario(source))
+        condition: Any = {"severity": 1.0, "faults": ()} if true else {"severity": severity, "faults": faults}
+        worn = FootSensors(tap, cells, **condition, **given)
+    except ValueError as error:
+        raise ValueError(
+            f"{error} In an evaluation 'sensors' takes the options of InstrumentedEnv and FootSensors, such as "
+            "sensors={'soles': True} (--soles), and 'cells' (--cells) the instruments."
+        ) from error
     options = {**(method or {"method": "none"}), **(calibration or {}), "show": show}
     return FedFeet(SelfCalibration(worn, **options), tap, worn.source, true=true)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from hashlib import sha256
 from itertools import count, product
 from math import isfinite
@@ -35,7 +35,8 @@ FIRST_SEED = (
 
 Tables = dict[str, list[dict[str, Any]]]
 
-_STAGES = 64  # environments that a process keeps: feeds times severities of one policy, and some more
+_MOST_STAGES = 64  # environments that a process keeps: feeds times severities of one policy, and some more
+_STAGES: dict[str, Stage] = {}  # those that this process has made for the run under way
 
 
 class Episode(NamedTuple):
@@ -231,19 +232,18 @@ def run_plan(
             "Episodes",
             cases,
             store,
-            failed=lambda case, error: {
-                TABLE: [_row(case.arguments[2], outcome_of_failure(error), plan.setup)]
-            },
+            failed=lambda case, error: _rows(case.arguments[2], outcome_of_failure(error), plan.setup),
             count={"fell": lambda outcome: any(row["fell"] for row in outcome.tables.get(TABLE, ()))},
             any_version=any_version,
         )
         rows = store.rows(TABLE, cases).sort_values("case", ignore_index=True)
         save_frames(folder, {TABLE: rows})
+    _STAGES.clear()
     return rows, computed
 
 
 def load_evaluation(plan: Plan, folder: Path) -> Evaluation:
-    """Return what a folder holds of an evaluation, also of one under way; ValueError if nothing."""
+    """Return the rows in a folder as an evaluation, also of one under way; ValueError if there are none."""
     store, cases = Store(folder), plan.cases()
     if not (folder / PLAN).is_file():
         raise ValueError(f"'{folder}' holds no evaluation; give its folder with --out.")
@@ -335,34 +335,18 @@ def run_case(setup: Setup, policy: Any, episode: Episode, key: str, who: str = "
             f"The file behind the policy '{policy}' is another one than the study began with; put the old "
             "one back, or begin in another folder."
         )
-    stage = _stage(_Making(key, setup, policy, episode))
-    return {TABLE: [_row(episode, stage.row(episode.seed), setup)]}
+    if len(_STAGES) >= _MOST_STAGES:
+        _STAGES.clear()
+    if key not in _STAGES:
+        _STAGES[key] = Stage.make(setup, policy, episode.feed, episode.severity, episode.policy)
+    return _rows(episode, _STAGES[key].row(episode.seed), setup)
 
 
-class _Making:
-    """What a stage is made of; equal to another one of the same key."""
-
-    def __init__(self, key: str, setup: Setup, policy: Any, episode: Episode) -> None:
-        self.key, self.setup, self.policy, self.episode = key, setup, policy, episode
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Making) and self.key == other.key
-
-
-@lru_cache(_STAGES)
-def _stage(making: _Making) -> Stage:
-    one = making.episode
-    return Stage.make(making.setup, making.policy, one.feed, one.severity, one.policy)
-
-
-def _row(episode: Episode, outcome: Mapping[str, Any], setup: Setup) -> dict[str, Any]:
+def _rows(episode: Episode, outcome: Mapping[str, Any], setup: Setup) -> Tables:
     number, *what = episode
     grid = dict(zip(Episode._fields[1:], what, strict=True))
     fault = "" if method_of(episode.feed) is None or not setup.faults else str(setup.faults)
-    return {"case": number, **grid, "fault": fault, **outcome, **versions()}
+    return {TABLE: [{"case": number, **grid, "fault": fault, **outcome, **versions()}]}
 
 
 @dataclass(frozen=True)
@@ -398,8 +382,9 @@ def repeat(results: Evaluation, number: int) -> Repeated:
     plan, one = results.plan, results.plan.episodes[number]
     policy = plan.policies[one.policy][one.training]
     outcome = attempt(Case("repeated", run_case, (plan.setup, policy, one, f"repeated {number}"), depends=()))
-    failed = outcome_of_failure(outcome.error)
-    now = _row(one, failed, plan.setup) if outcome.error else outcome.tables[TABLE][0]
+    _STAGES.clear()
+    failed = _rows(one, outcome_of_failure(outcome.error), plan.setup)
+    (now,) = (failed if outcome.error else outcome.tables)[TABLE]
     return Repeated(one, found.iloc[0].to_dict(), now)
 
 

@@ -13,6 +13,7 @@ from surefoot.experiments.evaluate.statistics import (
     TRUE,
     Run,
     difference,
+    half_fall,
     mean_over,
     severities_of,
     share_won_back,
@@ -62,7 +63,7 @@ def write_page(results: "Evaluation", folder: Path) -> Report:
 
 
 def answer(frame: Frame) -> str:
-    """Return what drift costs each policy, and what calibration wins back, with 95 % intervals.
+    """Return the cost of drift for each policy, and the share that calibration wins back, with intervals.
 
     Severity 1, or else the least one that was run, is that of the device as it is.
     """
@@ -114,6 +115,9 @@ def _falls(frame: Frame) -> Iterator[str]:
                 for runs in [shown[shown["feed"] == feed]]
             ]
             yield f"{policy}, severity {severity:g}, falls: {', '.join(counts)}."
+        raw = own[own["feed"] == RAW]
+        if raw["fell"].any() and (half := half_fall(raw)) is not None:
+            yield f"{policy}: severity at which half fall on raw readings: {half.words()}."
 
 
 def _sections(frame: Frame, drawn: Path) -> Iterator[Section]:

@@ -62,19 +62,19 @@ class Setup:
         if isinstance(self.make_env, str) and _ID.match(self.make_env):
             object.__setattr__(self, "make_env", _spec_of(self.make_env))
         elif isinstance(self.make_env, str):
-            object.__setattr__(self, "make_env", imported("environment", self.make_env))
+            object.__setattr__(self, "make_env", import_named("environment", self.make_env))
         if not (isinstance(self.make_env, gym.envs.registration.EnvSpec) or callable(self.make_env)):
             raise ValueError(
                 "'make_env' must be an id of Gymnasium, a function that makes an environment, or "
                 f"'module:function', got {self.make_env!r}."
             )
         if isinstance(self.wrap, str):
-            object.__setattr__(self, "wrap", imported("wrapper", self.wrap))
+            object.__setattr__(self, "wrap", import_named("wrapper", self.wrap))
         if isinstance(self.scenario, str | list | tuple):
             words = [self.scenario] if isinstance(self.scenario, str) else self.scenario
             object.__setattr__(self, "scenario", scenario_of(words))
         if isinstance(self.observe, str):
-            one = imported("function", self.observe) if ":" in self.observe else (self.observe,)
+            one = import_named("function", self.observe) if ":" in self.observe else (self.observe,)
             object.__setattr__(self, "observe", one)
         for name in ("settle", "duration"):
             value = getattr(self, name)
@@ -169,7 +169,7 @@ def check_observation(policy: Any, observation: Any, action_space: Any) -> None:
         raise ValueError("The policy answers its first observation with numbers that are not finite.")
 
 
-def imported(what: str, name: str) -> Any:
+def import_named(what: str, name: str) -> Any:
     """Return a function or class by 'module:name'; ValueError says how to make it importable."""
     if ":" not in name:
         raise ValueError(

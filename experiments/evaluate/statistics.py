@@ -168,7 +168,7 @@ def _draw_episodes(groups: list[Floats], rng: np.random.Generator) -> Floats:
 
 
 def _units(values: Column) -> Floats:
-    """Return what counts as independent: means of trainings if there are several, else episodes."""
+    """Return independent values: means of trainings if there are several, else episodes."""
     if "training" in values.index.names and values.index.get_level_values("training").nunique() > 1:
         values = values.groupby("training").mean()
     found: Floats = values.to_numpy(dtype=np.float64)

@@ -71,12 +71,12 @@ def _parallel(tasks: Sequence[tuple[int, Task]], jobs: int | None) -> Iterator[t
     with chosen:
         parallel = joblib.Parallel(return_as="generator_unordered")
     found: Iterator[tuple[int, Any]] = parallel(
-        joblib.delayed(_numbered)(number, function, arguments) for number, (function, arguments) in tasks
+        joblib.delayed(_do)(number, function, arguments) for number, (function, arguments) in tasks
     )
     return found
 
 
-def _numbered(number: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
+def _do(number: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
     return number, function(*arguments)
 
 
