@@ -183,7 +183,7 @@ def put_on(
         worn = FootSensors(tap, cells, **condition, **given)
     except ValueError as error:
         raise ValueError(
-            f"{error} In an evaluation 'sensors' takes the options of InstrumentedEnv and FootSensors, such as "
+            f"{error} In an evaluation 'sensors' takes options of InstrumentedEnv and FootSensors, such as "
             "sensors={'soles': True} (--soles), and 'cells' (--cells) the instruments."
         ) from error
     options = {**(method or {"method": "none"}), **(calibration or {}), "show": show}

@@ -1,5 +1,6 @@
 """Films: joined, cut to one length, and done without where nothing can be drawn."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -37,9 +38,10 @@ def test_an_animation_takes_every_other_picture_and_goes_round(tmp_path: Path, s
 
 
 def test_a_driver_that_fails_is_named_with_a_cure(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object, **__: object) -> object:
+    def broken(*_: object, **__: object) -> Iterator[object]:
         raise RuntimeError("no context\nand much more")
+        yield
 
-    monkeypatch.setattr(video, "episode_steps", broken)
+    monkeypatch.setattr(video.Walk, "steps", broken)
     with pytest.raises(OSError, match=r"can be drawn here \(RuntimeError: no context\); install an OpenGL"):
         video.film_walks(Path("walk.mp4"), ["true"], speed=0.04, seed=0, duration=4.0)
