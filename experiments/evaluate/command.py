@@ -127,6 +127,10 @@ def find_backend(name: str, address: str | None) -> AbstractContextManager[Any]:
             from distributed import Client
 
             Client(address)  # becomes the default client, which joblib asks for
+        if name == "ray":
+            from ray.util.joblib import register_ray
+
+            register_ray()
         chosen: AbstractContextManager[Any] = joblib.parallel_config(name)
         return chosen
     except (ImportError, ValueError) as error:

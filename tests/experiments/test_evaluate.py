@@ -26,7 +26,10 @@ from surefoot.experiments.policy.view import PolicyView
 from surefoot.experiments.study.store import StudyError
 
 SHORT = {"stand_time": 0.1, "duration": 0.6, "payload_time": (0.1, 0.2)}
-pytestmark = pytest.mark.filterwarnings("ignore:The feet of:UserWarning")  # of an environment without seeds
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:The feet of:UserWarning"),  # of an environment without seeds
+    pytest.mark.filterwarnings("ignore:SelfCalibration has learnt nothing:UserWarning"),  # episodes are short
+]
 
 FEW: dict[str, Any] = {"seeds": (7, 8), "severities": (1.0,), "feeds": ("true", "raw", "moment")}
 
