@@ -42,7 +42,7 @@ typedef struct {
     sf_real dt, gravity; /* time between samples of the feet in s; m/s^2 */
     sf_real legs_noise, velocity_noise, tilt_noise, bias_noise, first_velocity, first_tilt, first_bias, turned, known_tilt;
     sf_real vertical_bias_time, ground_time, rest_time, first_time, force_bias_time, zero_offset, touch, no_normal;
-    sf_real sole_height;
+    sf_real sole_height, other_ground;
     sf_real corners[SF_FEET * SF_CORNERS * 3], radius[SF_FEET * SF_CORNERS]; /* centres in the sole frames; m */
     double period, delay; /* time between packets and their mean delay in s */
 } sf_timing;
@@ -123,6 +123,11 @@ SF_API void sf_find_ground(const sf_timing *t, sf_strapdown *s, const sf_real *t
     for (int k = 0; length > t->no_normal && k < 3; k++) s->ground[k] = ground[k] / length;
 }
 
+/* Strapdown._slope: square of the part of a specific force along the ground. */
+SF_API sf_real sf_slope(const sf_strapdown *s, const sf_real *force) {
+    return sf_square(force) - sf_power2(sf_dot(force, s->ground, 3));
+}
+
 /* Strapdown._find_bias: compare the specific force with the normal of the ground, if soles show it. */
 SF_API void sf_find_bias(const sf_timing *t, sf_strapdown *s, const sf_real *force) {
     sf_real period = (sf_real)t->period, count = (sf_real)s->count, off[3], weight, share, believed;
@@ -132,10 +137,10 @@ SF_API void sf_find_bias(const sf_timing *t, sf_strapdown *s, const sf_real *for
         s->excess[k] += share * (force[k] - t->gravity * s->ground[k] - s->excess[k]);
         off[k] = s->excess[k] - s->sole_bias[k];
     }
-    weight = 1 / sf_power2(1 + sf_square(off) / (t->zero_offset * t->zero_offset));
+    weight = 1 / sf_power2(1 + sf_slope(s, off) / (t->other_ground * t->other_ground));
     share = period / sf_min(t->first_time + count * period, t->force_bias_time);
     for (int k = 0; k < 3; k++) s->sole_bias[k] += share * weight * off[k];
-    believed = 1 / (1 + sf_square(s->sole_bias) / (t->zero_offset * t->zero_offset));
+    believed = 1 / (1 + sf_slope(s, s->sole_bias) / (t->zero_offset * t->zero_offset));
     for (int k = 0; k < 3; k++) s->force_bias[k] = s->sole_bias[k] * believed;
 }
 

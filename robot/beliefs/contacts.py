@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, Reference
 
-FREE_FALL = 0.5  # specific force as a share of gravity below which a robot falls freely, and no foot bears load
+FREE_FALL = 0.5  # specific force as a share of gravity below which a robot falls freely
 
 CONTACT_MARGIN = 4
 """Samples by which a planned stance or swing must hold before and after one to be sure of it: joints follow
@@ -41,15 +41,13 @@ def plan_window(lag: int) -> tuple[int, int]:
     return CONTACT_MARGIN + 1 + min(CONTACT_MARGIN, lag), max(lag - CONTACT_MARGIN, 0) + 1
 
 
-LEANING = 0.4
-"""Mean believed acceleration as a share of gravity from which a robot is not upright: half a radian off
-the vertical."""
+LEANING = 0.4  # mean acceleration as a share of gravity from which a robot falls
 
 LEAN_TIME = 0.25  # time constant in s of that mean, longer than a push or a landing
 
 STEEPEST = 0.4
-"""Slope of the ground as the soles show it, a sine, above which the robot does not stand on them: they are the
-sides of a robot that lies. People do not walk on more than 20 degrees."""
+"""Sine of the slope that the soles show above which the robot does not stand on them but lies. Robots do not
+walk on slopes of more than 20 degrees."""
 
 COS_STEEPEST = sqrt(1.0 - STEEPEST**2)
 
@@ -127,9 +125,9 @@ def _halves(sure: list[bool]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 class Upright:
     """Finds whether a robot stands, walks or runs: only then do its feet carry all of it.
 
-    Who leans far, lies or sits rests on more than its soles, and its idea of level is wrong: its own
-    weight and motion say nothing about its feet then. The mean acceleration that a robot believes to have is
-    small while it is upright, and as large as gravity is off its supposed vertical when it is not.
+    A robot that lies or sits rests on more than its soles, so that its weight and motion do not determine the
+    load of its feet. Its soles lean far or its centre of mass is low. The mean acceleration of a robot that
+    falls is large.
 
     Samples are ``dt`` s apart, and gravity is in m/s^2.
 
@@ -150,7 +148,7 @@ class Upright:
     def at(self, reference: Reference, ground: Floats) -> bool:
         """Take in the robot's beliefs of one moment, and return whether it was upright then.
 
-        Samples follow each other; NaN, where nothing is known, passes. The normal of the ground has shape (3,).
+        Samples follow each other. NaN, where nothing is known, passes. The ground's normal has shape (3,).
         """
         x, y, z = reference.com_acceleration.tolist()
         self.fell = False

@@ -1,21 +1,21 @@
 """A robot's knowledge of its own motion without its feet's sensors, on their timeline.
 
 Encoders and IMU come at 100 Hz or faster, numbered and late with jitter. Single packets that were lost are
-filled in by linear interpolation, and packets of a faster link are joined into one of 10 ms, with the mean of
-the IMU and the last angles. The mean delay is known and subtracted. The numbers are the robot's own even
-clock, so that the jitter averages out. Between two packets n-1 and n, at their middle, the nominal model gives
-from the mean and the difference of both encoder readings the centre of mass c, the soles and the angular
-momentum L, and the attitude filter (:mod:`surefoot.robot.beliefs.strapdown`) gives the rotation R of the
-torso. With the specific force f, less its believed bias, and the place p_imu of the IMU,
+filled in by linear interpolation, and packets of a faster link are joined into one of 10 ms, with the mean
+of the IMU and the last angles. The mean delay is known and subtracted. The numbers are the robot's own even
+clock, so that the jitter averages out. Between two packets n-1 and n, at their middle, the nominal model
+gives the centre of mass c, the soles and the angular momentum L from the mean and the difference of both
+encoder readings, and the attitude filter (:mod:`surefoot.robot.beliefs.strapdown`) gives the rotation R of
+the torso. With the specific force f, less its believed bias, and the place p_imu of the IMU,
 
     c'' = R f - g e_z + d^2/dt^2 [ R (c - p_imu) ],        L' = d/dt [ R L ]
 
 in level axes whose heading follows the gyroscope (*odometry* axes). Differences are centred, so that they
-delay nothing. The results are kept, and interpolated linearly at the times of the feet's samples, some samples
-ago (``lag``), when the packets that are needed have come.
+delay nothing. The results are kept, and interpolated linearly at the times of the feet's samples, some
+samples ago (``lag``), when the packets that are needed have come.
 
-An error of the tilt does little harm to these accelerations: the ground's force points along f from the centre
-of mass, whatever way is up, so that in Eqs. 10 and 11 a common tilt cancels to first order.
+An error of the tilt does little harm to these accelerations: the ground's force points along f from the
+centre of mass, whatever way is up, so that in Eqs. 10 and 11 a common tilt cancels to first order.
 """
 
 from collections.abc import Iterator
@@ -208,7 +208,7 @@ class Beliefs(Believed):
         yield packet
 
     def take(self, packet: Packet) -> Posture | None:
-        """Take in one joined packet; return the posture since the last one, ``None`` if that is too long ago."""
+        """Take in one joined packet; return the posture since the last one, ``None`` if it is not known."""
         self._synchronise(packet)
         before, self.last = self.last, packet
         if before is None or packet.number != before.number + 1:

@@ -17,9 +17,9 @@ and its gains fall within a second to those of a slow filter. It is never restar
 in, and a longer gap only makes it as uncertain as it was at the start.
 
 Flat soles show the normal u of the ground. If the ground is level, the mean excess e = f - g u is the
-accelerometer's error. A slope looks the same, but is often larger, and comes and goes. So the bias b_s follows
-e with a weight that falls with their distance, b_s' = (e - b_s) / (1 + |e - b_s|^2 / B^2)^2 / T, and of it
-b_f = b_s / (1 + |b_s|^2 / B^2) is believed.
+accelerometer's error. A slope looks the same, but is often larger, and comes and goes. So the bias b_s
+follows e with a weight that falls with their distance, b_s' = (e - b_s) / (1 + |e - b_s|^2 / A^2)^2 / T,
+and of it b_f = b_s / (1 + |b_s|^2 / B^2) is believed, with the norms of the parts along the ground.
 """
 
 from math import cos, sin, sqrt
@@ -32,8 +32,8 @@ from surefoot.calibration.arrays import skew
 from surefoot.robot.beliefs.contacts import FREE_FALL
 
 LEGS_NOISE = 1.5e-3
-"""Spectral density of the error of the legs' velocity in m^2/s: 0.05 m/s that change every third of a second,
-as soles that roll and yield make them."""
+"""Spectral density of the error of the legs' velocity in m^2/s: 0.05 m/s that change every third of a
+second, because soles roll and yield."""
 
 VELOCITY_NOISE = 0.5 * LEGS_NOISE  # m^2/s^3: 0.03 m/s in a second, from vibrations of the accelerometer
 TILT_NOISE = 0.0375 * LEGS_NOISE  # times 1/g^2 in rad^2/s: 0.04 degrees in a second, of cheap gyroscopes
@@ -58,6 +58,9 @@ REST_TIME = 2.0  # time constant in s of the excess: some steps, over which acce
 FIRST_TIME = 1.0  # s of data that a bias of zero counts as at the start
 
 FORCE_BIAS_TIME = 10.0  # longest time constant in s of the bias: many steps
+
+OTHER_GROUND = 0.3
+"""Change of the excess in m/s^2, 1.8 degrees of slope, beyond which the ground has probably changed."""
 
 ZERO_OFFSET = 0.2
 """B in m/s^2: 20 mg, which data sheets of accelerometers in robots promise. Ground that leans by more than a
@@ -95,6 +98,7 @@ class StrapdownConstants(NamedTuple):
     first_time: float = FIRST_TIME
     force_bias_time: float = FORCE_BIAS_TIME
     zero_offset: float = ZERO_OFFSET
+    other_ground: float = OTHER_GROUND
     touch: float = TOUCH
     no_normal: float = NO_NORMAL
     sole_height: float = SOLE_HEIGHT
@@ -178,7 +182,9 @@ class Strapdown:
         turn = (spin - self.spin_bias) * period
         self._find_ground(turn, sites[1:], axes)
         middle, end = self.R @ _rotation(0.5 * turn), self.R @ _rotation(turn)
-        legs = -touching(sites[1:], axes.reshape(-1, 3, 3), twist[1:], self._corners, self.ground, self._radius)
+        legs = -touching(
+            sites[1:], axes.reshape(-1, 3, 3), twist[1:], self._corners, self.ground, self._radius
+        )
         by_legs = middle @ legs
         velocity = by_legs + middle @ twist[0, 3:]
         rise = middle @ (force - self.force_bias)
@@ -208,10 +214,14 @@ class Strapdown:
         excess = force - self._gravity * self.ground
         self.excess = self.excess + max(1.0 / self.count, period / REST_TIME) * (excess - self.excess)
         off = self.excess - bias
-        weight = 1.0 / (1.0 + off @ off / ZERO_OFFSET**2) ** 2
+        weight = 1.0 / (1.0 + self._slope(off) / OTHER_GROUND**2) ** 2
         share = period / min(FIRST_TIME + self.count * period, FORCE_BIAS_TIME)
         self.sole_bias = bias = bias + share * weight * off
-        self.force_bias = bias / (1.0 + bias @ bias / ZERO_OFFSET**2)
+        self.force_bias = bias / (1.0 + self._slope(bias) / ZERO_OFFSET**2)
+
+    def _slope(self, force: Floats) -> float:
+        """Return the square of the part of a specific force along the ground, which a slope may cause."""
+        return float(force @ force - (force @ self.ground) ** 2)
 
     def _find_ground(self, turn: Floats, soles: Floats, axes: Floats) -> None:
         """Turn the ground's normal on, and correct it by the soles that are lowest along it.

@@ -52,7 +52,7 @@ int main(int count, char **words) {
         if (k % 1000 > 900) {
             known += belief.known;
             for (int i = 0; i < 3; i++)
-                if (!sf_finite(beliefs.odometry.up[i]) || (belief.known && !sf_finite(belief.reference.com_acceleration[i])))
+                if (!sf_finite(beliefs.strapdown.ground[i]) || (belief.known && !sf_finite(belief.reference.com_acceleration[i])))
                     return 2;
             for (int i = 0; i < 2; i++)
                 if (!sf_finite((sf_real)shown.cop[i])) return 3;

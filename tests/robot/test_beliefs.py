@@ -13,7 +13,6 @@ from surefoot.calibration.reference import Reference
 from surefoot.envs import load_nao_spec
 from surefoot.robot import Beliefs, NominalModel, TelemetryLayout
 from surefoot.robot.beliefs.errors import NO_ERRORS, BeliefErrors
-from surefoot.robot.beliefs.odometry import Odometry
 from surefoot.sensors import Imu, Link, preset
 from surefoot.sensors.transport.link import Packet
 from surefoot.wrappers import FootSensors, SelfCalibration
@@ -142,30 +141,6 @@ def test_jitter_averages_out_of_the_clock(exact: NominalModel) -> None:
         when = beliefs.reference(3.5, np.ones(2, bool), np.zeros(2, bool)).gyroscope[0] - 0.5
         errors.append(0.01 * when - 3.5)
     assert np.abs(errors).max() < 1.2e-3
-
-
-def test_soles_hold_the_gyroscope_upright_and_show_its_bias(exact: NominalModel) -> None:
-    odometry = Odometry(0.01)
-    _, _, sites, axes = exact.evaluate(np.zeros(24), np.zeros(24), np.zeros(3))
-    sites, axes = sites.copy(), axes.copy()
-    bias, lean = np.array([0.02, -0.01, 0.0]), np.array([0.05, -0.03, 9.84])
-    for _ in range(6000):
-        R = odometry.turn(bias, lean, sites, axes)
-    np.testing.assert_allclose(R[2], (0.0, 0.0, 1.0), atol=1e-5)
-    np.testing.assert_allclose(odometry.force_bias, lean - (0.0, 0.0, 9.81), atol=3e-4)
-    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
-
-
-def test_the_lower_sole_shows_what_is_level(exact: NominalModel) -> None:
-    """A swinging foot may be tilted: it is higher, and left aside."""
-    odometry = Odometry(0.01)
-    _, _, sites, axes = exact.evaluate(np.zeros(24), np.zeros(24), np.zeros(3))
-    sites, axes = sites.copy(), axes.copy()
-    sites[2, 2] += 0.01
-    axes[5] = np.sin(0.3), 0.0, np.cos(0.3)
-    for _ in range(50):
-        R = odometry.turn(np.zeros(3), np.array([0.0, 0.0, 9.81]), sites, axes)
-    np.testing.assert_allclose(R[2], (0.0, 0.0, 1.0), atol=1e-9)
 
 
 class _Walk:
