@@ -21,6 +21,7 @@ class Flag(IntFlag):
     words: str  # the flag in a few words, for tables and messages
 
     def __new__(cls, value: int, words: str = "") -> "Flag":
+        """Make a flag of its bit and its words; combinations of flags have no words."""
         flag = int.__new__(cls, value)
         flag._value_, flag.words = value, words
         return flag

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import orthonormal
-from surefoot.calibration.diagnosis import LIKELY, Diagnosis, Experience, Mistake, Tried, diagnose
+from surefoot.calibration.diagnosis import Diagnosis, Experience, Mistake, Tried, diagnose
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals, measure_repeated
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector, change_motion, read_later
@@ -234,7 +234,7 @@ def penalise(free: int, rows: float, choices: int) -> float:
 def tell_causes(symptom: Finding, causes: Causes, instead: str = "") -> Finding:
     """Add the likeliest cause to a symptom, or that none is known; the cure ``instead`` if that is not it."""
     diagnosis, closest = causes.diagnosis, causes.closest
-    if diagnosis.none > LIKELY or not diagnosis.causes:
+    if diagnosis.none > 0.5 or not diagnosis.causes:
         return symptom
     if diagnosis.likely:
         cure = f"{diagnosis.cure} If that is not it: {instead}" if instead else diagnosis.cure

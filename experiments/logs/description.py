@@ -125,8 +125,8 @@ class Description(Settings):
         if self.motion is not None and self.lag_samples != 0:
             raise ValueError(
                 f"'lag_samples' is {self.lag_samples} beside 'motion', whose references are made for the "
-                "very moment of each row; leave it out, and give motion.readings_age_s for old readings of the "
-                "feet or motion.delay_s for old joints and IMU, in seconds"
+                "very moment of each row; leave it out, and give motion.readings_age_s for old readings of "
+                "the feet or motion.delay_s for old joints and IMU, in seconds"
             )
         return self
 

@@ -89,9 +89,7 @@ def make_beliefs(
     where = TelemetryLayout(len(model.joint_names))
     link = motion.period, 0.0, facts.averaged
     python = MomentumBeliefs(Beliefs(model, where, *link, dt=dt, touching=touching_points(layout)))
-    beliefs: Any = native_beliefs(
-        python
-    )  # the library is ten times as fast, with the same numbers to rounding
+    beliefs = native_beliefs(python)  # the library is ten times as fast, with the same numbers to rounding
     moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
     known = _has_neighbours(motion, place, python.beliefs.filled)

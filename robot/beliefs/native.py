@@ -1,7 +1,7 @@
 """The beliefs of one robot by the library: the same numbers as those of Python, to rounding."""
 
 from copy import copy
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from surefoot.robot.beliefs.strapdown import StrapdownConstants
 from surefoot.sensors.transport.link import Packets
 
 AT_ONCE = 8  # packets that are handed over together
+
+PythonBeliefs = TypeVar("PythonBeliefs", bound=Beliefs | MomentumBeliefs)
 
 
 class NativeBeliefs:
@@ -191,9 +193,7 @@ def _going_on(made: Made, spec: Any, momentum: bool, state: bytes, *told: NDArra
     return native
 
 
-def native_beliefs(
-    beliefs: Beliefs | MomentumBeliefs, library: Library | None = None
-) -> Beliefs | MomentumBeliefs | NativeBeliefs:
+def native_beliefs(beliefs: PythonBeliefs, library: Library | None = None) -> PythonBeliefs | NativeBeliefs:
     """Return beliefs by a library that begin an episode, or as they are where there is none for such a robot.
 
     The library is that of the robot's calibrator, or the one with room for all; the Python's are used up.

@@ -42,8 +42,8 @@ BIAS_NOISE = 1.56e-4 * LEGS_NOISE
 poles of the tilt of 0.5 / s, and at a bias that follows in 20 s."""
 
 FIRST_VELOCITY, FIRST_TILT, FIRST_BIAS = 0.5, 0.3, 0.02
-"""Standard deviations at the start in m/s, rad and rad/s: of a robot that is put down or already walks, and of
-the zero of a cheap gyroscope."""
+"""Standard deviations at the start in m/s, rad and rad/s: of a robot that is put down or already walks, and
+of the zero of a cheap gyroscope."""
 
 TURNED = 0.3  # rad/s by which a robot that walks tilts unseen while packets are missing
 
