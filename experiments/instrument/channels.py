@@ -25,7 +25,7 @@ from surefoot.experiments.instrument.noise import (
     step_of,
 )
 from surefoot.experiments.instrument.recording import Recording
-from surefoot.experiments.logs.checks import RESTARTED, SPLIT
+from surefoot.experiments.logs.checks import SPLIT, TWO_SESSIONS
 from surefoot.experiments.logs.clock import EPOCH, SLOWEST, find_gaps, unit_of_times
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import sentence
@@ -175,7 +175,7 @@ def _check_clock(recording: Recording) -> Iterator[Wrong]:
         reason = f"Column 'time_s' {clock.flaw}."
         yield _wrong(recording, clock.row, Finding("clock", reason, sentence(clock.cure)))
     elif clock is not None and clock.restart:
-        reason, _, cure = f"Column 'time_s' {clock.restart}{RESTARTED}{SPLIT}".partition(". ")
+        reason, _, cure = f"Column 'time_s' {clock.restart}{TWO_SESSIONS}{SPLIT}".partition(". ")
         yield _wrong(recording, clock.row, Finding("clock", f"{reason}.", cure, refuses=walks))
     if not (steps > 0.0).any():
         return

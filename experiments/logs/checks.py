@@ -84,11 +84,11 @@ def clock_of(stamps: Floats, file: str, *, spread: bool = True, joined: bool | N
     if clock.flaw:
         raise LogError(f"{at} {clock.flaw}; {clock.cure}")
     if clock.restart and not joined:
-        raise LogError(f"{at} {clock.restart}{RESTARTED}{'.' if joined is None else SPLIT}")
+        raise LogError(f"{at} {clock.restart}{TWO_SESSIONS}{'.' if joined is None else SPLIT}")
     return clock
 
 
-RESTARTED = (
+TWO_SESSIONS = (
     ", as when a logger was restarted. Sorting would mix the sessions: cut the file there and calibrate the "
     "parts one by one"
 )

@@ -21,9 +21,7 @@ CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # units of time besides seconds, 
 EPOCH = 1e8  # s, three years: a larger time is one since 1970
 
 JOINED = 10.0 * MAX_GAP  # s between two sessions of one file once they are joined: a gap for every command
-COARSEST = (
-    1.0  # s, the coarsest unit that loggers write; a time that is repeated for longer means a stopped clock
-)
+COARSEST = 1.0  # s, the coarsest unit of loggers: a time repeated for longer is of a clock that stopped
 OVERFLOWS = (2.0**32, *(2.0**32 * unit for unit in CLOCKS.values()), 2.0**16 * CLOCKS["ms"], 86400.0, 3600.0)
 """Times in s after which clocks begin again at zero: counters of 32 bits by their unit, counters of 16 bits
 in milliseconds, times of day at midnight, and times of minutes and seconds alone at the full hour."""
@@ -78,7 +76,7 @@ def read_clock(stamps: Floats, *, spread: bool = True, rows: NDArray[np.int64] |
     parts = np.split(time, back)
     if spread:
         for first, part in zip(sessions, parts, strict=True):
-            if (row := _stopped(part)) >= 0:
+            if (row := _find_stop(part)) >= 0:
                 flaw = f"stands still at {part[row]:.13g} s from row {number[first + row]} on"
                 cure = "write the time of each row, or leave the column out."
                 return Clock(stamps, flaw=flaw, cure=cure, row=first + row)
@@ -101,7 +99,7 @@ def find_gaps(step: Floats, max_gap: float = MAX_GAP) -> NDArray[np.bool_]:
 
 
 def origin_of(time: float) -> float:
-    """Return what to subtract from times in s that begin here, so that single precision can hold them."""
+    """Return the time in s to subtract from times that begin here, so that single precision can hold them."""
     return time if abs(time) > EPOCH else 0.0
 
 
@@ -147,7 +145,7 @@ def _disorder(time: Floats, back: NDArray[np.intp]) -> str:
     return ""
 
 
-def _stopped(time: Floats) -> int:
+def _find_stop(time: Floats) -> int:
     """Return the row at which a clock stops although rows go on, -1 for none."""
     first, count, step = _runs(time)
     if len(first) < 2:
@@ -167,8 +165,8 @@ def _spread(time: Floats) -> Floats:
     each = np.minimum(step / count, usual)
     place = np.arange(len(time)) - np.repeat(first, count)
     found: Floats = time + place * np.repeat(each, count)
-    begun = count[0] > 1 and step[0] - count[0] * usual > usual
-    if begun:  # The log began in the middle of its first second.
+    in_first = count[0] > 1 and step[0] - count[0] * usual > usual
+    if in_first:  # The log began in the middle of its first second.
         found[: count[0]] = time[first[1]] - usual * np.arange(count[0], 0, -1)
     return found
 

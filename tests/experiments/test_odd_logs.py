@@ -16,7 +16,7 @@ from surefoot.experiments.instrument.channels import Wrong
 from surefoot.experiments.instrument.check import check_log, wrong_table
 from surefoot.experiments.instrument.recording import read_recording
 from surefoot.experiments.instrument.twin import identify
-from surefoot.experiments.logs.clock import read_clock, unit_of_times
+from surefoot.experiments.logs.clock import unit_of_times
 from surefoot.experiments.logs.format import Log, read_log, write_log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.walking.judge import judge_log
@@ -395,34 +395,6 @@ def test_studies_say_where_they_cannot_write(tmp_path: Path, monkeypatch: pytest
     assert result.stderr.startswith(f"surefoot: cannot write to '{tmp_path / 'file' / 'tables'}': Not a dir")
 
 
-CLOCKS: dict[str, tuple[Any, Any]] = {
-    "packets of five rows": (TIME[np.arange(ROWS) // 5 * 5], TIME),
-    "seconds without fractions": (np.floor(TIME + 0.3), TIME + 0.3),
-    "whole seconds since 1970": (1.7e9 + np.floor(TIME), 1.7e9 + TIME),
-    "a counter of microseconds": ((TIME + 4290.0) % (2**32 * 1e-6), TIME + 4290.0),
-    "a counter of milliseconds": ((TIME + 4294960.0) % (2**32 * 1e-3), TIME + 4294960.0),
-}
-
-
-@pytest.mark.parametrize(("stamps", "true"), CLOCKS.values(), ids=CLOCKS)
-def test_coarse_and_overflowing_clocks_become_even(stamps: Any, true: Any) -> None:
-    clock = read_clock(stamps)
-    assert not clock.flaw
-    assert clock.sessions == (0,)
-    np.testing.assert_allclose(clock.time, true, rtol=0.0, atol=0.0126)
-    np.testing.assert_allclose(np.diff(clock.time), 0.0125, atol=1e-6)
-
-
-def test_a_few_equal_stamps_move_no_other_row() -> None:
-    """A plate that sends a packet of two readings now and then, with times in whole milliseconds."""
-    time = np.round(np.cumsum(np.random.default_rng(2).choice([0.009, 0.01, 0.011], ROWS)), 3)
-    time[300::400] = time[299::400]
-    found = read_clock(time).time
-    assert (np.diff(found) > 0.0).all()
-    moved = found != time
-    assert moved.sum() == len(time[300::400])
-
-
 def test_sessions_of_a_restarted_logger_never_interleave(tmp_path: Path) -> None:
     def restart(table: pd.DataFrame, told: Any) -> pd.DataFrame:
         again = table.assign(time_s=table["time_s"] + 0.0037)
@@ -445,21 +417,3 @@ def test_a_last_row_that_was_cut_off_is_left_out_and_noted(tmp_path: Path) -> No
     (tmp_path / "rig.csv").write_text(text.replace("\n0.125,", "\n0.125;"))
     with pytest.raises(LogError, match=r"not a readable table .*Expected 3 columns, got 2"):
         read_recording(tmp_path / "rig.csv")
-
-
-DAYS: dict[str, str] = {
-    "a time of day": "%H:%M:%S.%f",
-    "a date and a time": "%Y-%m-%dT%H:%M:%S.%f",
-    "a date as in Germany": "%d.%m.%Y %H:%M:%S.%f",
-    "twelve hours": "%m/%d/%Y %I:%M:%S.%f %p",
-    "minutes": "%M:%S.%f",
-}
-
-
-@pytest.mark.parametrize("form", DAYS.values(), ids=DAYS)
-def test_times_of_day_go_on_at_midnight(form: str, tmp_path: Path) -> None:
-    moments = pd.Timestamp("2025-03-09 23:59:50") + pd.to_timedelta(TIME, unit="s")
-    channels(time_s=moments.strftime(form)).to_csv(tmp_path / "rig.csv", index=False)
-    found = read_recording(tmp_path / "rig.csv")
-    np.testing.assert_allclose(found.time - found.time[0], TIME, atol=1e-6)
-    assert check_log(tmp_path / "rig.csv").sound
