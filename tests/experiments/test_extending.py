@@ -3,7 +3,9 @@
 import contextlib
 import importlib
 import io
+import os
 import re
+import subprocess
 import sys
 import warnings
 from pathlib import Path
@@ -26,7 +28,6 @@ from surefoot.calibration import (
     online,
     register_method,
 )
-from surefoot.experiments.evaluate import evaluate
 from surefoot.experiments.evaluate.grid import Plan
 from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.view.session import check_method
@@ -164,9 +165,12 @@ def test_a_users_calibrator_takes_part_in_studies(own):
 @pytest.mark.slow
 def test_workers_import_a_users_module(own, tmp_path):
     """Processes of their own know of no name that was registered here."""
-    given = {"feeds": ("raw", "my_feet:slow-tare"), "severities": (1.0,), "seeds": (0,), "duration": 6.0}
-    rows = evaluate("surefoot/NaoWalk-v0", "stabiliser", cells="my_feet:heavy-cells", jobs=2, **given).rows
-    assert list(rows["error"]) == ["", ""]
+    words = "surefoot/NaoWalk-v0 stabiliser --feed raw --feed my_feet:slow-tare --severity 1 --seeds 1 --duration 6"
+    more = ["--cells", "my_feet:heavy-cells", "--jobs", "2", "--out", tmp_path / "out"]
+    path = os.pathsep.join([str(own.parent), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-m", "surefoot", "evaluate", *words.split(), *map(str, more)]
+    subprocess.run(command, check=True, env=os.environ | {"PYTHONPATH": path}, capture_output=True)
+    assert list(pd.read_parquet(tmp_path / "out" / "episodes.parquet")["error"]) == ["", ""]
 
 
 def test_a_calibrators_name_must_be_free(own):
