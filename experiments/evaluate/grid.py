@@ -175,7 +175,7 @@ def evaluate(
     severities: Sequence[float] = SEVERITIES,
     seeds: int | Sequence[int] = 50,
     out: Path | str | None = None,
-    jobs: int | None = 1,
+    jobs: int | None = None,
     statistics: Any = None,
     trusted: bool = False,
     any_version: bool = False,
@@ -195,7 +195,7 @@ def evaluate(
             seed; at severity 0 every feed is the truth.
         seeds: How many, from 20000 on, or which.
         out: Folder for rows and pages; the same call goes on where it was stopped.
-        jobs: Processes; ``None`` for what ``joblib.parallel_config`` says.
+        jobs: Processes of this machine; ``None`` for what ``joblib.parallel_config`` says, else one.
         statistics: ``VecNormalize`` or its file, of a Stable-Baselines3 policy that was trained with it.
         trusted: Whether zips of Stable-Baselines3, which run pickled code, may be opened.
         any_version: Whether to go on with rows that other versions made.
@@ -216,7 +216,7 @@ def evaluate(
 
 
 def run_plan(
-    plan: Plan, folder: Path, *, jobs: int | None = 1, any_version: bool = False
+    plan: Plan, folder: Path, *, jobs: int | None = None, any_version: bool = False
 ) -> tuple[Frame, int]:
     """Run the episodes that a folder lacks; return all rows, and how many were run."""
     cases, store = plan.cases(), Store(folder)

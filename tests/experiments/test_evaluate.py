@@ -234,17 +234,17 @@ def test_processes_change_no_digit(tmp_path):
         alone.drop(columns="wall_time"), two.drop(columns="wall_time"), check_exact=True
     )
     with joblib.parallel_config("threading", n_jobs=2):
-        assert list(evaluate(_biped.make, jobs=None, **given).rows["digest"]) == list(alone["digest"])
+        assert list(evaluate(_biped.make, **given).rows["digest"]) == list(alone["digest"])
 
 
 @pytest.mark.slow
 def test_a_process_that_dies_costs_its_episodes_alone():
     arms = {"dies": _biped.dies, "swing": _biped.swing}
-    rows = evaluate(_biped.make, arms, feeds=("true",), seeds=4, jobs=2).rows
+    rows = evaluate(_biped.make, arms, feeds=("true",), seeds=2, jobs=2).rows
     failed = rows[rows["error"] != ""]
     assert set(failed["policy"]) == {"dies"}
     assert failed["error"].str.startswith("The worker that ran this case died: ").all()
-    assert 0 < len(failed) <= 4
+    assert len(failed) == 2
     assert (rows[rows["policy"] == "swing"]["error"] == "").all()
 
 
@@ -338,7 +338,7 @@ def test_a_cluster_gives_the_same_rows_though_a_worker_is_killed(monkeypatch):
         killing = threading.Timer(3.0, os.kill, (first, signal.SIGKILL))
         killing.start()
         with joblib.parallel_config("dask"):
-            there = evaluate(_biped.make, jobs=None, **given).rows
+            there = evaluate(_biped.make, **given).rows
         killing.join()
     pd.testing.assert_frame_equal(
         here.drop(columns="wall_time"), there.drop(columns="wall_time"), check_exact=True

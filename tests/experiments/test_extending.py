@@ -165,8 +165,8 @@ def test_a_users_calibrator_takes_part_in_studies(own):
 @pytest.mark.slow
 def test_workers_import_a_users_module(own, tmp_path):
     """Processes of their own know of no name that was registered here."""
-    words = "surefoot/NaoWalk-v0 stabiliser --feed raw --feed my_feet:slow-tare --severity 1 --seeds 1 --duration 6"
-    more = ["--cells", "my_feet:heavy-cells", "--jobs", "2", "--out", tmp_path / "out"]
+    words = "surefoot/NaoWalk-v0 stabiliser --feed raw --feed my_feet:slow-tare --severity 1 --seeds 1"
+    more = ["--duration", "6", "--cells", "my_feet:heavy-cells", "--jobs", "2", "--out", tmp_path / "out"]
     path = os.pathsep.join([str(own.parent), os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, "-m", "surefoot", "evaluate", *words.split(), *map(str, more)]
     subprocess.run(command, check=True, env=os.environ | {"PYTHONPATH": path}, capture_output=True)
