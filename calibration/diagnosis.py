@@ -25,6 +25,9 @@ from scipy.special import ndtr, softmax
 CERTAIN = 0.9
 """Probability above which a cause is certain enough to refuse the data because of it."""
 
+LIKELY = 0.5
+"""Probability above which something is likelier than everything else together."""
+
 _SHOWN = 0.999  # largest probability that a sentence states
 
 
@@ -90,9 +93,13 @@ class Diagnosis:
 
     @property
     def likely(self) -> Cause | None:
-        """The likeliest cause, or ``None`` if an unknown one or none is likelier."""
-        best = self.causes[0] if self.causes else None
-        return best if best and best.probability > max(self.none, self.unknown) else None
+        """The likeliest cause, or ``None`` if the two likeliest together are less likely than the rest.
+
+        Two mistakes with the same effect share their probability, and the message names both.
+        """
+        if not self.causes or sum(one.probability for one in self.causes[:2]) <= LIKELY:
+            return None
+        return self.causes[0] if self.causes[0].probability > max(self.none, self.unknown) else None
 
     @property
     def is_certain(self) -> bool:

@@ -14,7 +14,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from surefoot.calibration import FeetLayout, Parameters
-from surefoot.calibration.diagnosis import Cause, Diagnosis, Experience, Mistake, Tried, diagnose, sentence
+from surefoot.calibration.diagnosis import (
+    LIKELY,
+    Cause,
+    Diagnosis,
+    Experience,
+    Mistake,
+    Tried,
+    diagnose,
+    sentence,
+)
 from surefoot.calibration.results import Finding
 from surefoot.experiments.logs.columns import raw_names_of
 from surefoot.experiments.logs.format import Log
@@ -97,7 +106,7 @@ def judge_log(
         others = _fit_troubles(claims, raw_names_of(log.layout))
         diagnosis = _diagnose(plain, fitted, others)
         # A joint's sign takes its time: all references are made again.
-        if log.turned and diagnosis.none < 0.5 and not diagnosis.is_certain:
+        if log.turned and diagnosis.none <= LIKELY and not diagnosis.is_certain:
             found_late, found_claims, joints = _fit_in_time(written, list(joint_hypotheses(log)))
             if joints[0].fit.evidence > fitted[0].fit.evidence:
                 late, claims = found_late, found_claims
@@ -221,7 +230,7 @@ def _diagnose(plain: Fit | None, fitted: list[_Fitted], troubles: list[_Fitted])
 
 def _decide(claims: Claims, plain: Fit, diagnosis: Diagnosis) -> list[Finding]:
     """Return the findings about a log: the mistake that explains it, a trouble of one channel, or none."""
-    if diagnosis.none > 0.5:
+    if diagnosis.none > LIKELY:
         return []
     seen, likely, other = _figures(plain), diagnosis.likely, max(diagnosis.none, diagnosis.unknown)
     if likely is not None and likely.mistake.kind in ORDERS and _without_one(claims, likely.mistake) <= 0.0:
