@@ -131,8 +131,8 @@ def explain_pull(log: Log, initial: Parameters) -> Finding:
             return Finding(tried[0].kind, diagnosis.sentence(), diagnosis.cure)
     if len(tried) == 1:
         return Finding(tried[0].kind, f"The likeliest cause: {tried[0].cause}.", sentence(tried[0].cure))
-    reason = f"Possible causes: {tried[0].cause}, or {tried[1].cause}; the log does not distinguish them."
-    return Finding(tried[0].kind, reason, sentence(f"in the first case, {tried[0].cure}"))
+    reason = f"Possible causes: {tried[0].cause}, or {tried[1].cause}. The log does not distinguish them."
+    return Finding(tried[0].kind, reason, sentence(f"if so, {tried[0].cure}"))
 
 
 def _check_layout(log: Log) -> list[Finding]:
