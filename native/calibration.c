@@ -133,6 +133,7 @@ static const place places[] = {
     FIELDS(timing, "int", averaged, joined, filled, needed, window, feet, points, rolls),
     FIELDS(timing, "real", dt, gravity, legs_noise, velocity_noise, tilt_noise, bias_noise, first_velocity, first_tilt,
            first_bias, turned, known_tilt, vertical_bias_time, ground_time, rest_time, first_time, force_bias_time),
+    FIELDS(timing, "real", still_velocity, still_tilt, still_spin, still_speed, still_force, contradiction),
     FIELDS(timing, "real", zero_offset, other_ground, touch, no_normal, sole_height, corners, radius),
     FIELDS(timing, "double", period, delay),
     PARTS(belief, , reference., "real", com, com_acceleration, angular_momentum_rate, position_sole, R_level_sole),

@@ -42,7 +42,7 @@ typedef struct {
     sf_real dt, gravity; /* time between samples of the feet in s; m/s^2 */
     sf_real legs_noise, velocity_noise, tilt_noise, bias_noise, first_velocity, first_tilt, first_bias, turned, known_tilt;
     sf_real vertical_bias_time, ground_time, rest_time, first_time, force_bias_time, zero_offset, touch, no_normal;
-    sf_real sole_height, other_ground;
+    sf_real sole_height, other_ground, still_velocity, still_tilt, still_spin, still_speed, still_force, contradiction;
     sf_real corners[SF_FEET * SF_CORNERS * 3], radius[SF_FEET * SF_CORNERS]; /* centres in the sole frames; m */
     double period, delay; /* time between packets and their mean delay in s */
 } sf_timing;
@@ -121,6 +121,17 @@ SF_API void sf_find_ground(const sf_timing *t, sf_strapdown *s, const sf_real *t
     }
     length = sf_sqrt(sf_square(ground));
     for (int k = 0; length > t->no_normal && k < 3; k++) s->ground[k] = ground[k] / length;
+}
+
+/* Strapdown._judge: set how certain the attitude is where the robot is at rest. */
+SF_API void sf_judge_attitude(const sf_timing *t, sf_strapdown *s, const sf_real *force, const sf_real *spin,
+                              const sf_real *legs) {
+    sf_real length = sf_sqrt(sf_square(force));
+    if (!(sf_square(spin) < sf_power2(t->still_spin) && sf_square(legs) < sf_power2(t->still_speed) &&
+          sf_fabs(length - t->gravity) < t->still_force * t->gravity))
+        return;
+    if (s->count == 1) sf_uncertain(s, t->still_velocity, t->still_tilt, t->first_bias);
+    else if (sf_attitude_known(t, s) && sf_dot(s->R + 6, force, 3) < sf_cos(t->contradiction) * length) sf_coast(t, s, -1);
 }
 
 /* Strapdown._slope: square of the part of a specific force along the ground. */
@@ -209,6 +220,7 @@ SF_API void sf_advance(const sf_timing *t, sf_strapdown *s, sf_posture *posture)
     sf_then(end, s->R, small);
     sf_touching(t, posture, s->ground, legs);
     for (int i = 0; i < 3; i++) legs[i] = -legs[i], felt[i] = force[i] - s->force_bias[i];
+    sf_judge_attitude(t, s, force, posture->spin, legs);
     sf_turn(by_legs, middle, legs);
     sf_turn(imu, middle, posture->speeds + 6);
     sf_turn(rise, middle, felt);

@@ -11,10 +11,11 @@ tilts R at this rate. Along each horizontal axis the errors therefore obey
 
     v' = g phi,        phi' = beta,        beta' = 0,        e = v + noise,
 
-of which a Kalman filter estimates all three. Its covariance is the same along both axes. It starts with a
-tilt that may be wrong by twenty degrees, as a first sample of the accelerometer is while the robot settles,
-and its gains fall within a second to those of a slow filter. It is never restarted: lost packets are filled
-in, and a longer gap only makes it as uncertain as it was at the start.
+of which a Kalman filter estimates all three. Its covariance is the same along both axes. A robot that moves
+starts with a tilt that may be wrong by twenty degrees, as the first sample of the accelerometer is while the
+robot settles, and its gains fall within a second to those of a slow filter. It is never restarted: lost
+packets are filled in, and a longer gap, or a specific force at rest that contradicts the attitude, only makes
+it less certain.
 
 Flat soles show the normal u of the ground. If the ground is level, the mean excess e = f - g u is the
 accelerometer's error. A slope looks the same, but is often larger, and comes and goes. So the bias b_s
@@ -42,8 +43,19 @@ BIAS_NOISE = 1.56e-4 * LEGS_NOISE
 poles of the tilt of 0.5 / s, and at a bias that follows in 20 s."""
 
 FIRST_VELOCITY, FIRST_TILT, FIRST_BIAS = 0.5, 0.3, 0.02
-"""Standard deviations at the start in m/s, rad and rad/s: of a robot that is put down or already walks, and
-of the zero of a cheap gyroscope."""
+"""Standard deviations at the start in m/s, rad and rad/s, of a robot that is put down or already walks, and
+of a cheap gyroscope."""
+
+STILL_VELOCITY, STILL_TILT = 0.05, 0.03
+"""The first two of a robot that is at rest at the start, by an accelerometer with a bias of 0.3 m/s^2."""
+
+STILL_SPIN, STILL_SPEED, STILL_FORCE = 0.1, 0.05, 0.05
+"""Largest angular velocity in rad/s, velocity of the legs in m/s, and difference of the specific force from
+gravity, as a share of it, of a robot that is at rest."""
+
+CONTRADICTION = 0.15
+"""Angle in rad between the specific force of a robot at rest and the vertical beyond which the attitude is
+wrong: five times what the bias of an accelerometer makes."""
 
 TURNED = 0.3  # rad/s by which a robot that walks tilts unseen while packets are missing
 
@@ -90,6 +102,12 @@ class StrapdownConstants(NamedTuple):
     first_velocity: float = FIRST_VELOCITY
     first_tilt: float = FIRST_TILT
     first_bias: float = FIRST_BIAS
+    still_velocity: float = STILL_VELOCITY
+    still_tilt: float = STILL_TILT
+    still_spin: float = STILL_SPIN
+    still_speed: float = STILL_SPEED
+    still_force: float = STILL_FORCE
+    contradiction: float = CONTRADICTION
     turned: float = TURNED
     known_tilt: float = KNOWN_TILT
     vertical_bias_time: float = VERTICAL_BIAS_TIME
@@ -185,6 +203,7 @@ class Strapdown:
         legs = -touching(
             sites[1:], axes.reshape(-1, 3, 3), twist[1:], self._corners, self.ground, self._radius
         )
+        self._judge(force, spin, legs)
         by_legs = middle @ legs
         velocity = by_legs + middle @ twist[0, 3:]
         rise = middle @ (force - self.force_bias)
@@ -205,6 +224,21 @@ class Strapdown:
         self.velocity, self.R, self.covariance = after, _orthonormal(end), P
         self.place = self.place + by_legs * period
         return middle, 0.5 * (before + after)
+
+    def _judge(self, force: Floats, spin: Floats, legs: Floats) -> None:
+        """Set how certain the attitude is where the robot is at rest: at the start, and if it contradicts."""
+        length = sqrt(force @ force)
+        still = (
+            spin @ spin < STILL_SPIN**2
+            and legs @ legs < STILL_SPEED**2
+            and abs(length - self._gravity) < STILL_FORCE * self._gravity
+        )
+        if not still:
+            return
+        if self.count == 1:
+            self.covariance = np.diag(np.square([STILL_VELOCITY, STILL_TILT, FIRST_BIAS]))
+        elif self.known and self.R[2] @ force < cos(CONTRADICTION) * length:
+            self.coast(-1.0)
 
     def _find_bias(self, force: Floats) -> None:
         """Compare the specific force with the normal of the ground, if soles show it."""
