@@ -116,26 +116,28 @@ def test_commanded_contacts_come_before_a_guess_and_those_of_the_log_before_them
 
 
 def test_joints_in_the_rows_of_the_log_and_lost_rows(recorded: Any, tmp_path: Path) -> None:
-    """At the rate of the feet, in one table; where rows are lost nothing is known, and then all is again."""
+    """At the rate of the feet, in one table: a few lost rows are filled in, over many nothing is known."""
     log, motion = recorded.log, recorded.motion
     columns = {"time_s": log.time}
     for name in motion.columns[1:]:
         measured = motion["time_s"].rolling(65, center=True, min_periods=1).mean() - 0.020
         columns[name] = np.interp(log.time, measured, motion[name])
     table = pd.DataFrame(columns)
-    table.loc[200:203, "joint_LKneePitch_rad"] = np.nan
+    table.loc[200:211, "joint_LKneePitch_rad"] = np.nan
+    table.loc[230:233, "joint_LKneePitch_rad"] = np.nan
     description = recorded.description | {"delay_s": 0.0, "dt_s": log.dt, "averaged": False}
     path = write_motion(log, table, tmp_path / "walk.csv", description)
     redescribe(path, motion=description)
     pd.concat([pd.read_csv(path), table.drop(columns="time_s")], axis=1).to_csv(path, index=False)
     made = read_log(path).reference
     unknown = np.flatnonzero(np.isnan(made.com[:, 0]))
-    assert {199, 201, 204} <= set(unknown.tolist())
-    assert len(unknown) < 20
+    assert {200, 206, 211} <= set(unknown.tolist())
+    assert not {229, 231, 234} & set(unknown.tolist())
+    assert len(unknown) < 30
     assert not (made.stance | made.swing)[unknown].any()
     whole = read_log(recorded.path).reference
     difference = (made.com - whole.com)[250:600]
-    assert np.sqrt(np.mean(difference**2)) < 2e-4
+    assert np.sqrt(np.mean(difference**2)) < 5e-4, "the tilt is found again after the long gap"
 
 
 @pytest.mark.slow
