@@ -44,7 +44,7 @@ class Residuals(NamedTuple):
         """Return the means with one more row, shape (C,), which counts by a share, shape (C,) or ()."""
         return Residuals(self.mean + share * (row - self.mean), self.square + share * (row**2 - self.square))
 
-    def unexplained(self, slack: Array, floor: Array) -> Array:
+    def excess(self, slack: Array, floor: Array) -> Array:
         """Return the mean squares without what an error of the robot's own model may explain, shape (C,)."""
         beyond = np.maximum(np.abs(self.mean) - slack, 0.0)
         varying = np.maximum(self.square - self.mean**2, 0.0)
@@ -64,5 +64,5 @@ def evidence_for_start(learnt: Residuals, start: Residuals, slack: Array, floor:
         floor: Variance of the noise of a row, positive, shape (C,).
         rows: How many independent rows the means are of.
     """
-    ratio = learnt.unexplained(slack, floor) / start.unexplained(slack, floor)
+    ratio = learnt.excess(slack, floor) / start.excess(slack, floor)
     return float(0.5 * rows * np.log(ratio).sum())

@@ -1724,7 +1724,7 @@ SF_API void sf_residual(const sf_config *c, const sf_moment_config *m, const sf_
     }
 }
 
-/* Residuals.include and unexplained: take in a row, and return the mean square that an error of the robot's own model does
+/* Residuals.include and excess: take in a row, and return the mean square that an error of the robot's own model does
    not explain. */
 SF_API sf_real sf_include(sf_real *mean, sf_real *square, sf_real e, sf_real share, sf_real slack, sf_real floor) {
     sf_real beyond, varying;

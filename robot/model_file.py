@@ -179,10 +179,10 @@ def touching_points(layout: FeetLayout) -> Floats:
     A foot whose channels have no places touches the ground at the origin of its sole frame.
     """
     cells = [foot.position_cell_sole for foot in layout.feet]
-    return _padded([np.zeros((1, 3)) if places is None else places for places in cells])
+    return _pad([np.zeros((1, 3)) if places is None else places for places in cells])
 
 
-def _padded(points: Sequence[Floats]) -> Floats:
+def _pad(points: Sequence[Floats]) -> Floats:
     """Stack the points of several feet, (n, up to 4) each; a foot with fewer points repeats its last one."""
     most = max(map(len, points))
     wide = [np.pad(part, ((0, 0), (0, 4 - part.shape[1]))) for part in points]
@@ -220,7 +220,7 @@ def _measure_soles(spec: Any, feet: Sequence[str] | None) -> tuple[tuple[str, ..
     parts = [foot.round if foot.flaw else foot.polygon for foot in found]
     # Polygons lie in the sole's plane; round parts have a height and a radius.
     parts = [np.pad(part, ((0, 0), (0, 4 - part.shape[1]))) for part in parts]
-    return names, _padded(parts), any(foot.flaw for foot in found)
+    return names, _pad(parts), any(foot.flaw for foot in found)
 
 
 def _carrier(spec: Any, sole: str) -> str:

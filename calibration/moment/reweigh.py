@@ -24,7 +24,7 @@ def reweigh(state: MomentState, fresh: MomentState, share: float, columns: Colum
     size = np.ones(columns.talk.stop)
     size[columns.offset] = size[columns.drift] = share
     return fresh._replace(
-        belief=_scaled(state.belief, fresh.belief, size),
+        belief=_scale(state.belief, fresh.belief, size),
         faults=state.faults,
         shift=state.shift,
         time=state.time,
@@ -33,7 +33,7 @@ def reweigh(state: MomentState, fresh: MomentState, share: float, columns: Colum
     )
 
 
-def _scaled(belief: Belief, fresh: Belief, size: Array) -> Belief:
+def _scale(belief: Belief, fresh: Belief, size: Array) -> Belief:
     """Return a belief whose first unknowns are those learnt, scaled; the others are fresh."""
     known = slice(0, len(size))
     mean, covariance = fresh.mean.copy(), fresh.covariance.copy()
