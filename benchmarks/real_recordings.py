@@ -40,11 +40,11 @@ from rich.console import Console
 
 from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, METHODS, FeetLayout, FootLayout, Parameters, Reference, zero_phase
+from surefoot.calibration.contacts import reference_of_contacts
 from surefoot.calibration.cop import cop_of_cells
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.experiments.instrument.recording import read_recording
 from surefoot.experiments.instrument.twin import Twin, identify
-from surefoot.experiments.logs.contacts import refer_to_contacts
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.tables import NOTHING, Frame, Table, Verdict, number, span, with_interval
@@ -82,7 +82,7 @@ class Recording(NamedTuple):
     def reference(self) -> Reference:
         """Return the beliefs that calibrators are given of a robot whose feet stand at one place."""
         samples = len(self.force)
-        at_rest = refer_to_contacts(self.loaded[:, None], self.empty[:, None], np.zeros((samples, 1, 3)))
+        at_rest = reference_of_contacts(self.loaded[:, None], self.empty[:, None], np.zeros((samples, 1, 3)))
         acceleration = np.zeros((samples, 3))
         acceleration[:, 2] = np.where(self.loaded, self.vgrf / self.weight - 1.0, 0.0) * GRAVITY
         cop = np.where(self.loaded[:, None], self.cop, 0.0)

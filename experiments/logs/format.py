@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from surefoot.arrays import Floats, take_rows
+from surefoot.calibration.contacts import contacts_from_load, reference_of_contacts
 from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
@@ -44,7 +45,7 @@ from surefoot.experiments.logs.columns import (
     raw_names_of,
     stack,
 )
-from surefoot.experiments.logs.contacts import FELT, check_steps, contacts, feel_contacts, refer_to_contacts
+from surefoot.experiments.logs.contacts import FELT, check_steps, contacts
 from surefoot.experiments.logs.description import Description, MotionFacts, describe
 from surefoot.experiments.logs.mapping import TableMapping, merge
 from surefoot.experiments.logs.motion import read_motion
@@ -278,11 +279,11 @@ def _refer_to_feet(table: LogTable, raw: Floats, facts: dict[str, Any]) -> Found
     else:
         scale, offset = facts["nominal"]
         load = sole_wrenches(scale * raw + np.nan_to_num(offset), layout)[..., 2]
-        stance, swing = feel_contacts(load, facts["mass"] * GRAVITY, facts["dt"])
+        stance, swing = contacts_from_load(load, facts["mass"] * GRAVITY, facts["dt"])
         if np.isnan(offset).any() and not swing.any(axis=0).all():
             check_steps(load, facts["mass"], table.file)
         source, more = FELT, {"lag": 0}
-    reference = refer_to_contacts(stance, swing, np.zeros((len(raw), feet, 3)))
+    reference = reference_of_contacts(stance, swing, np.zeros((len(raw), feet, 3)))
     return reference, more, {"feet_alone": True, "contacts": source}
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import viser
 
 from surefoot.calibration import GRAVITY, METHODS, FootCalibrator, Reference
+from surefoot.calibration.contacts import SURE, contacts_from_load, reference_of_contacts
 from surefoot.experiments.logs.checks import check_load_cells
 from surefoot.experiments.logs.clock import origin_of
 from surefoot.experiments.logs.columns import (
@@ -22,7 +23,6 @@ from surefoot.experiments.logs.columns import (
     phase_names,
     raw_names_of,
 )
-from surefoot.experiments.logs.contacts import SURE, feel_contacts, refer_to_contacts
 from surefoot.experiments.logs.description import Description
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.view.player import SIZE
@@ -157,9 +157,9 @@ class StreamFeet:
             force = np.nan_to_num(self.facts.nominal.force(raw))
             self._load.append([force[part].sum() for part in self.layout.slices])
             load = np.array(self._load)
-            felt = feel_contacts(load, self.facts.mass_kg * GRAVITY, self.facts.dt_s)
+            felt = contacts_from_load(load, self.facts.mass_kg * GRAVITY, self.facts.dt_s)
             stance, swing = (part[max(len(load) - 1 - self._late, 0)] for part in felt)
-        return refer_to_contacts(stance, swing, place_apart(len(self.layout.feet)))
+        return reference_of_contacts(stance, swing, place_apart(len(self.layout.feet)))
 
 
 def _number(row: Mapping[str, Any], name: str) -> float:

@@ -12,8 +12,8 @@ import pytest
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration import FootCalibrator, Parameters
+from surefoot.calibration.contacts import reference_of_contacts
 from surefoot.calibration.weights.known_map import read_map
-from surefoot.experiments.logs.contacts import refer_to_contacts
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 SCALE, OFFSET = 3e-5 * (1.0 + 0.1 * np.arange(8)) * (-1.0) ** np.arange(8), np.full(8, -250.0)
@@ -69,7 +69,7 @@ def test_a_map_starts_a_wrapper_as_file_contents_or_numbers(feet: FootSensors, f
 
 def test_a_calibrator_takes_the_file_with_its_curves(feet: FootSensors, file: Make) -> None:
     layout, raw, standing = feet.instruments.layout, np.full(8, 8.5e6), np.ones(2, dtype=bool)
-    reference = refer_to_contacts(standing, ~standing, np.zeros((2, 3)))
+    reference = reference_of_contacts(standing, ~standing, np.zeros((2, 3)))
     curves = [CURVE, *[None] * 7]
     for initial in (file(curves=curves), json.loads(file(curves=curves).read_text())):
         calibrator = FootCalibrator(layout, "none", mass=5.0, initial=initial, lag=0)
