@@ -304,11 +304,12 @@ def touching(
 
 def _upright(force: Floats) -> Floats:
     """Return the rotation of a torso at rest, whose specific force points up, shape (3, 3)."""
-    up = force / np.linalg.norm(force)
+    up = force / sqrt(force @ force)
     axis = 0 if abs(up[0]) < 0.9 else 2  # the heading is arbitrary; the torso may lie on its back
     forward = np.eye(3)[axis] - up[axis] * up
-    forward /= np.linalg.norm(forward)
-    return np.array([forward, np.cross(up, forward), up])
+    forward /= sqrt(forward @ forward)
+    R: Floats = np.array([forward, np.cross(up, forward), up])
+    return R
 
 
 def _rotation(turn: Floats) -> Floats:
