@@ -18,15 +18,14 @@ from scipy.stats import t as student
 from scipy.stats import theilslopes
 
 from surefoot.arrays import Floats
-from surefoot.calibration import GRAVITY
 from surefoot.calibration.diagnosis import Experience, Mistake, Tried, diagnose
-from surefoot.calibration.reference import look_like_newtons
 from surefoot.calibration.results import Finding
 from surefoot.calibration.weights.curves import LEAST, CurveFit, Curves, fit_curve
 from surefoot.experiments.force_torque.checks import RAILS
 from surefoot.experiments.study.tables import round_to
 from surefoot.experiments.weights.loop import LEAST as LEAST_LOOP
 from surefoot.experiments.weights.loop import Memory, memory_of
+from surefoot.experiments.weights.units import check_units
 
 ODDS = 1e6  # from which on a mistake is named
 EXPERIENCE = Experience(unknown=0.3, mimicked=0.02, size=1.0, spread=0.4)
@@ -42,11 +41,7 @@ NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
 TAIL = 3.0  # degrees of freedom of Student's t
 ROUNDING = 1.0 / np.sqrt(12.0)  # std of a count that was rounded
 FOLLOWS = 5.0  # standard deviations that a slope must be from zero for a cell to follow its load
-HEAVIEST = 3000.0  # N, three times what any load cell of a foot is made for
-RANGE = 20e3  # N that no 24-bit converter of a foot's cell spans: cells are made for half of it at most
-RANGE_COUNTS = 2.0**23  # of a 24-bit converter, from zero to its end
 DEGREE = 3  # of the polynomial that gives the slope of a cell with too few loads for a curve
-ROUND = 0.5  # loads that are all multiples of it, in newtons, look like kilograms
 
 
 _note = partial(Finding, refuses=False)
@@ -108,7 +103,7 @@ def judge_weighings(table: Weighings) -> Judged:
     out = np.isin(table.code, RAILS)
     table, given = replace(table, code=np.where(out, np.nan, table.code)), table
     lines: list[Line | None] = [_fit(table.load, code) for code in table.code.T]
-    found: list[Finding] = [*_check_units(table, lines)]
+    found: list[Finding] = [*check_units(table, lines)]
     label = _check_mistakes(table, lines)
     for i, line in enumerate(lines):
         if line is not None and label is None:
@@ -169,40 +164,6 @@ def _likelihood(lines: list[Line | None]) -> float:
             z = line.residual[np.isfinite(line.residual)] / line.scale
             total -= len(z) * np.log(line.scale) + (TAIL + 1.0) / 2.0 * np.log1p(z**2 / TAIL).sum()
     return total
-
-
-def _check_units(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Finding]:
-    """Find loads that no cell of a foot bears, and newtons that look like kilograms."""
-    known = table.load[np.isfinite(table.load)]
-    heaviest = float(np.abs(known).max(initial=0.0))
-    spans = [
-        RANGE_COUNTS / abs(line.slope)
-        for line, code in zip(lines, table.code.T, strict=True)
-        if line is not None and line.follows and np.nanmax(np.abs(code)) > 2**16
-    ]
-    span = float(np.median(spans)) if spans else 0.0
-    if heaviest > HEAVIEST or span > RANGE:
-        seen = f"up to {heaviest:.4g} N" + (
-            f", and a converter that spans {span:.3g} N" if span > RANGE else ""
-        )
-        near = "grams look so" if table.column == "load_kg" else "millinewtons look so"
-        reason = (
-            f"Column '{table.column}' means loads of {seen}, and no cell of a foot is made for that: {near}."
-        )
-        cure = "Give kilograms in 'load_kg', or newtons in 'load_N'."
-        yield Finding("units", reason, cure, max(heaviest / HEAVIEST, span / RANGE), 1.0)
-    if (known < 0.0).any():
-        reason = f"Column '{table.column}' holds loads below zero, such as {table.label(float(known.min()))}."
-        yield Finding("units", reason, "Give the weights that press on a cell, without a sign.")
-    values = np.unique(known[known != 0.0]) / table.unit
-    listed = ", ".join(f"{one:g}" for one in values[:4])
-    if table.column == "load_N" and len(values) > 1 and np.allclose(values % ROUND, 0.0, atol=1e-9):
-        reason = f"Column 'load_N' holds round numbers ({listed}), as weights in kilograms are."
-        cure = "If they are kilograms, name the column 'load_kg': all forces are 9.81 times as large then."
-        yield _note("round newtons", reason, cure)
-    if table.column == "load_kg" and look_like_newtons(values):
-        reason = f"Column 'load_kg' holds tenths of {GRAVITY:.4g} ({listed}), as weights in newtons are."
-        yield Finding("newtons", reason, "Name the column 'load_N', or give kilograms.")
 
 
 def _check_mistakes(table: Weighings, lines: list[Line | None]) -> Finding | None:
