@@ -201,7 +201,7 @@ def record(robot: str, seed: int, seconds: float) -> Motion:
     rows: list[tuple[Any, ...]] = []
     step = mujoco.mj_step
 
-    def recorded_step(model: Any, data: Any, count: int = 1) -> None:
+    def step_and_record(model: Any, data: Any, count: int = 1) -> None:
         for _ in range(count):
             joint, spin = data.qpos[model.jnt_qposadr[hinges]].copy(), data.qvel[3:6].copy()
             time = data.time
@@ -217,7 +217,7 @@ def record(robot: str, seed: int, seconds: float) -> Motion:
             force += np.cross(spin, np.cross(spin, imu))
             rows.append((time, joint, spin, force, wrenches, origins, turns))
 
-    with patch.object(mujoco, "mj_step", recorded_step):
+    with patch.object(mujoco, "mj_step", step_and_record):
         while data.time < seconds:
             if robot == "g1":
                 action = env.policy(env.state(), command if data.time > 1.5 else np.zeros(3))

@@ -55,8 +55,8 @@ typedef struct {
 
 /* All that is remembered: Beliefs, Strapdown, Plan, Kinematics and Upright side by side. */
 typedef struct {
-    sf_packet heard;      /* the last packet as it came */
-    sf_whole heard_count; /* and how many came */
+    sf_packet newest;      /* the last packet as it came */
+    sf_whole packet_count; /* and how many came */
     sf_real angle[SF_HINGES], accelerometer[3], gyroscope[3]; /* the last joined packet */
     sf_strapdown strapdown;
     sf_real lean[3], highest;
@@ -173,20 +173,20 @@ SF_API int sf_packet_of(const sf_model *m, sf_packet *packet, sf_whole number, d
 /* Beliefs._fill: go on by one packet, a new one or one of those that were lost before it; 0 if it was the last one, or
    comes late or twice. */
 SF_API int sf_fill(const sf_model *m, const sf_timing *t, sf_beliefs *s, const sf_packet *packet) {
-    sf_packet *heard = &s->heard;
-    sf_whole lost = packet->number - heard->number - 1;
-    if (s->heard_count && lost < 0 && lost >= -(sf_whole)t->filled) return 0;
-    if (s->heard_count && lost > 0 && lost <= t->filled) {
+    sf_packet *newest = &s->newest;
+    sf_whole lost = packet->number - newest->number - 1;
+    if (s->packet_count && lost < 0 && lost >= -(sf_whole)t->filled) return 0;
+    if (s->packet_count && lost > 0 && lost <= t->filled) {
         sf_real left = (sf_real)(lost + 1);
-        for (int i = 0; i < m->hinges; i++) heard->angle[i] += (packet->angle[i] - heard->angle[i]) / left;
+        for (int i = 0; i < m->hinges; i++) newest->angle[i] += (packet->angle[i] - newest->angle[i]) / left;
         for (int k = 0; k < 3; k++) {
-            heard->accelerometer[k] += (packet->accelerometer[k] - heard->accelerometer[k]) / left;
-            heard->gyroscope[k] += (packet->gyroscope[k] - heard->gyroscope[k]) / left;
+            newest->accelerometer[k] += (packet->accelerometer[k] - newest->accelerometer[k]) / left;
+            newest->gyroscope[k] += (packet->gyroscope[k] - newest->gyroscope[k]) / left;
         }
-        heard->arrival = packet->arrival - (double)lost * t->period / t->joined;
-        heard->number++;
-    } else *heard = *packet;
-    s->heard_count++;
+        newest->arrival = packet->arrival - (double)lost * t->period / t->joined;
+        newest->number++;
+    } else *newest = *packet;
+    s->packet_count++;
     return 1;
 }
 
@@ -216,14 +216,14 @@ SF_API int sf_take(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_whol
 /* Beliefs.join and take: go on towards a packet by one, and by those that were lost before it; 0 where that is reached,
    1, or 2 if a posture was found. */
 SF_API int sf_go_on(const sf_model *m, const sf_timing *t, sf_beliefs *s, const sf_packet *packet, sf_posture *found) {
-    const sf_packet *heard = &s->heard;
-    const sf_real *force = heard->accelerometer, *spin = heard->gyroscope;
+    const sf_packet *newest = &s->newest;
+    const sf_real *force = newest->accelerometer, *spin = newest->gyroscope;
     if (!sf_fill(m, t, s, packet)) return 0;
     if (t->joined > 1) {
-        if (!sf_join(t, s, heard->number, force, spin)) return 1;
+        if (!sf_join(t, s, newest->number, force, spin)) return 1;
         force = s->sum, spin = s->sum + 3;
     }
-    return 1 + sf_take(m, t, s, heard->number / t->joined, heard->arrival, heard->angle, force, spin, found);
+    return 1 + sf_take(m, t, s, newest->number / t->joined, newest->arrival, newest->angle, force, spin, found);
 }
 
 /* Beliefs.update: take in one packet. One with a value that is not finite, or beyond 1e3, is a lost one.

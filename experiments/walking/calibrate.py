@@ -119,15 +119,20 @@ def calibrate_log(
         if lacking:
             notices += (f"The ROS 2 parameters are the map alone, which starts no node: {lacking}",)
     facts = Facts(log, start, initial, estimate, settle, method, file, notices)
+    return _write_results(facts, node if ros2 else None, folder, f"{stem}.{plain}")
+
+
+def _write_results(facts: Facts, node: dict[str, Any] | None, folder: Path, stem: str) -> CalibratedLog:
+    """Write all files of a result; ``node`` holds the parameters of a ROS 2 node, ``None`` for no such file."""
     tables = (parameter_table(facts), *terminal_tables(facts))
-    walk, parameters, page = (folder / f"{stem}.{plain}.{end}" for end in ("parquet", "json", "html"))
+    walk, parameters, page = (folder / f"{stem}.{end}" for end in ("parquet", "json", "html"))
     with atomic_path(walk) as part:
         _write_walk(part, facts)
     write_text(parameters, json.dumps(_last(facts), indent=1))
     with working("drawing the report"):
         write_walking_page(page, facts)
-    written = _write_ros2(facts, node, folder / f"{stem}.{plain}.ros2.yaml") if ros2 else None
-    return CalibratedLog(walk, parameters, page, tables, notices, written)
+    written = None if node is None else _write_ros2(facts, node, folder / f"{stem}.ros2.yaml")
+    return CalibratedLog(walk, parameters, page, tables, facts.notices, written)
 
 
 def _judge(log: Log, initial: Parameters) -> tuple[tuple[Finding, ...], Lateness]:

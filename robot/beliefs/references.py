@@ -119,7 +119,7 @@ class Beliefs(Believed):
         rows: Columns of a row.
         ring: A row for each of the last packets by number, shape (HISTORY, rows.width, 3).
         ground: Normal of the ground in the axes of the last :meth:`reference`, shape (3,).
-        heard: The last packet as it came, or ``None``.
+        newest: The last packet as it came, or ``None``.
         last: The last joined packet, or ``None``.
         run: Joined packets without a long gap up to it.
         seen: Packets so far.
@@ -164,7 +164,7 @@ class Beliefs(Believed):
         self.strapdown = Strapdown(self.period, model.gravity, self.touching, rolls)
         self.ground = np.array([0.0, 0.0, 1.0])
         self._packet_period, self.filled = period, max(1, round(FILLED_TIME / period))
-        self.heard: Packet | None = None
+        self.newest: Packet | None = None
         self.last: Packet | None = None
         self.run = 0
         self.clock, self.seen = 0.0, 0
@@ -196,15 +196,15 @@ class Beliefs(Believed):
 
     def _fill(self, packet: Packet) -> Iterator[Packet]:
         """Yield a packet after those that were lost before it; nothing for one that comes late or twice."""
-        if self.heard is not None:
-            number, _, values = self.heard
+        if self.newest is not None:
+            number, _, values = self.newest
             lost = packet.number - number - 1
             if -self.filled <= lost < 0:
                 return
             for left in range(lost if lost <= self.filled else 0, 0, -1):
                 values = values + (packet.values - values) / (left + 1)
                 yield Packet(packet.number - left, packet.arrival - left * self._packet_period, values)
-        self.heard = packet
+        self.newest = packet
         yield packet
 
     def take(self, packet: Packet) -> Posture | None:

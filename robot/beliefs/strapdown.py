@@ -13,7 +13,7 @@ tilts R at this rate. Along each horizontal axis the errors therefore obey
 
 of which a Kalman filter estimates all three. Its covariance is the same along both axes. A robot that moves
 starts with a tilt that may be wrong by twenty degrees, as the first sample of the accelerometer is while the
-robot settles, and its gains fall within a second to those of a slow filter. It is never restarted: lost
+robot settles, and its gains fall within a second to those of a slow filter. It never starts again: lost
 packets are filled in, and a longer gap, or a specific force at rest that contradicts the attitude, only makes
 it less certain.
 

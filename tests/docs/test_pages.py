@@ -83,7 +83,7 @@ def calibrated_leg(_: Any = None) -> dict[str, Any]:
     fit = calibrate_in_situ(log.fitted, factory_matrix=log.config.factory.matrix)
     Path("out/in-situ").mkdir(parents=True)
     write_json(fit, Path("out/in-situ/in_situ_leg.in_situ.json"))
-    return {"raw": log.fitted[0].raw[0]}
+    return {"raw": log.fitted[0].raw[0], "gravity": log.fitted[0].gravity[0]}
 
 
 def trained_policy(_: Any = None) -> dict[str, Any]:

@@ -123,7 +123,8 @@ def test_files_are_those_of_gymnasiums_vectors(method: str, tmp_path: Any) -> No
     new.save(tmp_path / "again.npz")
     with np.load(tmp_path / "learnt.npz") as one, np.load(tmp_path / "again.npz") as other:
         assert set(one) == set(other)
-        for name in one:
+        # The comparison with the start begins again: sensors may have changed since the state was saved.
+        for name in (name for name in one if "versus_start" not in name):
             np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 

@@ -78,7 +78,7 @@ class Problem:
     maker: Maker | None  # prior of the response, or None
     limb: Vector  # expected inertial parameters, shape (p,); zero where nothing is known
     limb_root: Matrix  # rows that weigh phi - limb, shape (q, p)
-    misfit: Vector | None = None
+    excess: Vector | None = None
     """Variances of readings that the maker's matrix and its limb leave, shape (k,); None without one."""
     gains: int = 0
     """Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0."""
@@ -103,11 +103,11 @@ class Problem:
         whole = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
         correlation = (1.0 - share) * scatter / max(freedom, 1) / np.outer(whole, whole)
         correlation[np.diag_indices(k)] = 1.0
-        if self.misfit is not None:
-            ratio = np.log(np.maximum(variance, floor) / np.maximum(self.misfit, floor))
+        if self.excess is not None:
+            ratio = np.log(np.maximum(variance, floor) / np.maximum(self.excess, floor))
             level = np.exp(k * freedom / (k * freedom + _OF_MAKER) * np.mean(ratio))
             of_maker = _OF_MAKER / (freedom + _OF_MAKER)
-            variance = (1.0 - of_maker) * variance + of_maker * level * self.misfit
+            variance = (1.0 - of_maker) * variance + of_maker * level * self.excess
         root = np.sqrt(variance)
         return np.asarray(np.outer(root, root) * correlation + np.diag(floor))
 
@@ -221,10 +221,10 @@ def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) 
         longest = limits.LONGEST_ARM * max(abs(float(shown[MASS])), _LEAST_MASS)
         reach[:, MOMENT] = np.eye(3) / max(longest, float(np.linalg.norm(shown[MOMENT])))
         problem = replace(problem, limb_root=np.concatenate([root, reach]))
-    return problem if task.moving else replace(problem, misfit=_misfit(problem, task.factory, shown))
+    return problem if task.moving else replace(problem, excess=_excess(problem, task.factory, shown))
 
 
-def _misfit(problem: Problem, factory: Matrix, limb: Vector) -> Vector:
+def _excess(problem: Problem, factory: Matrix, limb: Vector) -> Vector:
     """Return the variances in counts^2, shape (k,), of what a maker's matrix and its limb leave."""
     response = np.linalg.pinv(factory)
     square, rows = np.zeros(factory.shape[1]), 0
