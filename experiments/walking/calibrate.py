@@ -123,7 +123,7 @@ def calibrate_log(
 
 
 def _write_results(facts: Facts, node: dict[str, Any] | None, folder: Path, stem: str) -> CalibratedLog:
-    """Write all files of a result; ``node`` holds the parameters of a ROS 2 node, ``None`` for no such file."""
+    """Write all files of a result; ``node`` holds the parameters of a ROS 2 node, or is ``None``."""
     tables = (parameter_table(facts), *terminal_tables(facts))
     walk, parameters, page = (folder / f"{stem}.{end}" for end in ("parquet", "json", "html"))
     with atomic_path(walk) as part:
