@@ -131,7 +131,9 @@ SF_API void sf_judge_attitude(const sf_timing *t, sf_strapdown *s, const sf_real
           sf_fabs(length - t->gravity) < t->still_force * t->gravity))
         return;
     if (s->count == 1) sf_uncertain(s, t->still_velocity, t->still_tilt, t->first_bias);
-    else if (sf_attitude_known(t, s) && sf_dot(s->R + 6, force, 3) < sf_cos(t->contradiction) * length) sf_coast(t, s, -1);
+    else if (sf_attitude_known(t, s) && (sf_real)s->count * (sf_real)t->period < t->first_time &&
+             sf_dot(s->R + 6, force, 3) < sf_cos(t->contradiction) * length)
+        sf_coast(t, s, -1);
 }
 
 /* Strapdown._slope: square of the part of a specific force along the ground. */

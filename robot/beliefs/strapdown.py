@@ -14,8 +14,8 @@ tilts R at this rate. Along each horizontal axis the errors therefore obey
 of which a Kalman filter estimates all three. Its covariance is the same along both axes. A robot that moves
 starts with a tilt that may be wrong by twenty degrees, as the first sample of the accelerometer is while the
 robot settles, and its gains fall within a second to those of a slow filter. It never starts again: lost
-packets are filled in, and a longer gap, or a specific force at rest that contradicts the attitude, only makes
-it less certain.
+packets are filled in, and a longer gap, or a specific force that contradicts the first sample of a robot at
+rest, only makes it less certain.
 
 Flat soles show the normal u of the ground. If the ground is level, the mean excess e = f - g u is the
 accelerometer's error. A slope looks the same, but is often larger, and comes and goes. So the bias b_s
@@ -53,9 +53,9 @@ STILL_SPIN, STILL_SPEED, STILL_FORCE = 0.1, 0.05, 0.05
 """Largest angular velocity in rad/s, velocity of the legs in m/s, and difference of the specific force from
 gravity, as a share of it, of a robot that is at rest."""
 
-CONTRADICTION = 0.15
-"""Angle in rad between the specific force of a robot at rest and the vertical beyond which the attitude is
-wrong: five times what the bias of an accelerometer makes."""
+CONTRADICTION = 0.05
+"""Angle in rad between the specific force and the vertical, of a robot that has been at rest for less than
+:data:`FIRST_TIME`, beyond which its first sample was wrong: what a bias of 0.5 m/s^2 makes."""
 
 TURNED = 0.3  # rad/s by which a robot that walks tilts unseen while packets are missing
 
@@ -67,7 +67,7 @@ GROUND_TIME = 0.3  # time constant in s with which the soles correct the normal 
 
 REST_TIME = 2.0  # time constant in s of the excess: some steps, over which accelerations average out
 
-FIRST_TIME = 1.0  # s of data that a bias of zero counts as at the start
+FIRST_TIME = 1.0  # s of the start: a bias of zero counts as so much data, and a first sample may be revised
 
 FORCE_BIAS_TIME = 10.0  # longest time constant in s of the bias: many steps
 
@@ -237,7 +237,11 @@ class Strapdown:
             return
         if self.count == 1:
             self.covariance = np.diag(np.square([STILL_VELOCITY, STILL_TILT, FIRST_BIAS]))
-        elif self.known and self.R[2] @ force < cos(CONTRADICTION) * length:
+        elif (
+            self.known
+            and self.count * self._period < FIRST_TIME
+            and self.R[2] @ force < cos(CONTRADICTION) * length
+        ):
             self.coast(-1.0)
 
     def _find_bias(self, force: Floats) -> None:
@@ -308,8 +312,7 @@ def _upright(force: Floats) -> Floats:
     axis = 0 if abs(up[0]) < 0.9 else 2  # the heading is arbitrary; the torso may lie on its back
     forward = np.eye(3)[axis] - up[axis] * up
     forward /= sqrt(forward @ forward)
-    R: Floats = np.array([forward, np.cross(up, forward), up])
-    return R
+    return np.array([forward, np.cross(up, forward), up], dtype=np.float64)
 
 
 def _rotation(turn: Floats) -> Floats:
