@@ -11,6 +11,7 @@ from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from surefoot.arrays import Floats, take_rows
 from surefoot.calibration import GRAVITY, FeetLayout, Parameters, Reference
@@ -258,6 +259,9 @@ def _places() -> Iterator[Mistake]:
     )  # fmt: skip
     for kind, cause, cure, change in places:
         yield Mistake(kind, cause, cure, partial(_believe, change=change))
+    cause = "the IMU is tilted against its drawing, so that both soles seem to lean"
+    cure = "give the IMU's axes as it is mounted; if the ground slopes, walk on level ground"
+    yield Mistake("IMU tilted", cause, cure, partial(_believe, change=_level))
     cause = "the centre of mass, or the cells' places, are given from another origin than the soles"
     cure = "check position_cell_sole_m (from the point below the ankle), and the frame of the centre of mass"
     yield Mistake("centre of mass off", cause, cure, partial(replace, com_std=ANYWHERE))
@@ -311,6 +315,24 @@ def _place_com(reference: Reference, A: Floats) -> Reference:
 def _turn(reference: Reference, R: Floats, spin: bool = True) -> Reference:
     turned = _place_com(reference, R)._replace(com_acceleration=reference.com_acceleration @ R.T)
     return turned._replace(angular_momentum_rate=reference.angular_momentum_rate @ R.T) if spin else turned
+
+
+def _level(reference: Reference) -> Reference:
+    """Turn all beliefs so that standing soles are level on average."""
+    normals = reference.R_level_sole[..., 2][reference.stance]
+    known = normals[np.isfinite(normals).all(axis=-1)]
+    if len(known) == 0:
+        return reference
+    x, y, z = known.mean(axis=0)
+    R = Rotation.from_rotvec(
+        np.arctan2(np.hypot(x, y), z) / max(np.hypot(x, y), 1e-9) * np.array([y, -x, 0.0])
+    )
+    turned = _turn(reference, R.as_matrix())
+    middle = reference.position_sole.mean(axis=1, keepdims=True)
+    return turned._replace(
+        position_sole=middle + (reference.position_sole - middle) @ R.as_matrix().T,
+        R_level_sole=R.as_matrix() @ reference.R_level_sole,
+    )
 
 
 def _exchange_contacts(reference: Reference) -> Reference:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from _logs import run
+from scipy.spatial.transform import Rotation
 
 from surefoot.arrays import take_rows
 from surefoot.calibration import CalibrationRefused, Flag
@@ -60,6 +61,21 @@ def test_the_key_of_an_age_has_its_sign(bad_start: Log, seconds: float) -> None:
     else:
         assert " s newer than the description says" in found.reason
         assert found.cure == 'Give "lag_samples": 8 in the description, which has 0.'
+
+
+def test_a_tilted_imu_is_named(bad_start: Log) -> None:
+    """It turns all that the robot believes about its own middle, and both soles lean alike."""
+    R, told = Rotation.from_euler("xyz", (4.0, 9.0, 0.0), degrees=True).as_matrix(), bad_start.reference
+    middle = told.position_sole.mean(axis=1)
+    reference = told._replace(
+        com=middle + (told.com - middle) @ R.T,
+        com_acceleration=told.com_acceleration @ R.T,
+        position_sole=middle[:, None] + (told.position_sole - middle[:, None]) @ R.T,
+        R_level_sole=R @ told.R_level_sole,
+    )
+    log = dataclasses.replace(bad_start, reference=reference)
+    found = judge_log(log, starting_map(log)).findings[0]
+    assert (found.name, found.contradicts) == ("IMU tilted", True)
 
 
 def made_worse(log: Log, factor: Any) -> Any:
