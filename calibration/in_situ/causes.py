@@ -133,6 +133,7 @@ EXPERIENCE = Experience(unknown=0.2, mimicked=0.2, size=0.003, spread=0.6)
 """Sound sets leave 0.1 to 0.9 % of the spread, most of it hysteresis; see benchmarks/in_situ_spoilt.py."""
 
 _BEST, _LEAST = 0.0025, 0.0005  # shares of the spread that good sensors leave, and the best ones
+_SURE = 30.0  # nats by which a mistake must explain more for others to compete below the floor
 _MAY_BE_SOUND = 0.05  # probability of residuals among sound sets above which they may be sound
 
 _CLOSER = 0.5  # share of the residuals that the closest mistake may leave to be worth a word
@@ -184,7 +185,7 @@ def find_causes(evidence: Evidence) -> Causes:
         if one.words not in best or gain > best[one.words][0].evidence:
             best[one.words] = (tried, one)
     every = [tried for tried, _ in best.values()]
-    if max((one.evidence for one in every), default=0.0) > limits.CLEARER:
+    if max((one.evidence for one in every), default=0.0) > _SURE:
         # Something is wrong. What it is shows also in residuals below those of good sensors.
         every = [
             one._replace(
