@@ -131,6 +131,7 @@ static const place places[] = {
     FIELDS(model, "int", bodies, hinges, parent, hinge_body, turned, along, away, site_body),
     FIELDS(model, "real", place, R_parent_body, anchor, axis, zero, mass, com, inertia, position_site, R_body_site),
     FIELDS(timing, "int", averaged, joined, filled, needed, window, feet, points, rolls),
+    FIELDS(timing, "real", legs_speed, outlying),
     FIELDS(timing, "real", dt, gravity, legs_noise, velocity_noise, tilt_noise, bias_noise, first_velocity, first_tilt,
            first_bias, turned, known_tilt, vertical_bias_time, ground_time, rest_time, first_time, force_bias_time),
     FIELDS(timing, "real", still_velocity, still_tilt, still_spin, still_speed, still_force, contradiction),

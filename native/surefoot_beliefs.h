@@ -51,11 +51,11 @@ typedef struct {
     double arrival; /* on the host's clock in s */
     sf_whole number;
     sf_real angle[SF_HINGES], accelerometer[3], gyroscope[3]; /* rad; m/s^2 and rad/s in the torso's axes */
-} sf_packet;
+} sf_motion_packet;
 
 /* All that is remembered: Beliefs, Strapdown, Plan, Kinematics and Upright side by side. */
 typedef struct {
-    sf_packet newest;      /* the last packet as it came */
+    sf_motion_packet newest;      /* the last packet as it came */
     sf_whole packet_count; /* and how many came */
     sf_real angle[SF_HINGES], accelerometer[3], gyroscope[3]; /* the last joined packet */
     sf_strapdown strapdown;
@@ -161,7 +161,7 @@ SF_API int sf_join(const sf_timing *t, sf_beliefs *s, sf_whole number, const sf_
 }
 
 /* Make a packet; whether it is sound, with values that a robot can have measured. Arguments as of sf_beliefs_packet. */
-SF_API int sf_packet_of(const sf_model *m, sf_packet *packet, sf_whole number, double arrival, const sf_real *angle,
+SF_API int sf_packet_of(const sf_model *m, sf_motion_packet *packet, sf_whole number, double arrival, const sf_real *angle,
                         const sf_real *accelerometer, const sf_real *gyroscope) {
     packet->number = number, packet->arrival = arrival;
     sf_copy(packet->angle, angle, m->hinges);
@@ -172,8 +172,8 @@ SF_API int sf_packet_of(const sf_model *m, sf_packet *packet, sf_whole number, d
 
 /* Beliefs._fill: go on by one packet, a new one or one of those that were lost before it; 0 if it was the last one, or
    comes late or twice. */
-SF_API int sf_fill(const sf_model *m, const sf_timing *t, sf_beliefs *s, const sf_packet *packet) {
-    sf_packet *newest = &s->newest;
+SF_API int sf_fill(const sf_model *m, const sf_timing *t, sf_beliefs *s, const sf_motion_packet *packet) {
+    sf_motion_packet *newest = &s->newest;
     sf_whole lost = packet->number - newest->number - 1;
     if (s->packet_count && lost < 0 && lost >= -(sf_whole)t->filled) return 0;
     if (s->packet_count && lost > 0 && lost <= t->filled) {
@@ -215,8 +215,8 @@ SF_API int sf_take(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_whol
 
 /* Beliefs.join and take: go on towards a packet by one, and by those that were lost before it; 0 where that is reached,
    1, or 2 if a posture was found. */
-SF_API int sf_go_on(const sf_model *m, const sf_timing *t, sf_beliefs *s, const sf_packet *packet, sf_posture *found) {
-    const sf_packet *newest = &s->newest;
+SF_API int sf_go_on(const sf_model *m, const sf_timing *t, sf_beliefs *s, const sf_motion_packet *packet, sf_posture *found) {
+    const sf_motion_packet *newest = &s->newest;
     const sf_real *force = newest->accelerometer, *spin = newest->gyroscope;
     if (!sf_fill(m, t, s, packet)) return 0;
     if (t->joined > 1) {
@@ -233,7 +233,7 @@ SF_API int sf_go_on(const sf_model *m, const sf_timing *t, sf_beliefs *s, const 
 SF_API void sf_beliefs_packet(const sf_model *m, const sf_timing *t, sf_beliefs *s, sf_whole number,
                               double arrival, const sf_real *angle, const sf_real *accelerometer,
                               const sf_real *gyroscope) {
-    sf_packet packet;
+    sf_motion_packet packet;
     sf_posture found;
     if (sf_packet_of(m, &packet, number, arrival, angle, accelerometer, gyroscope))
         while (sf_go_on(m, t, s, &packet, &found)) continue;

@@ -40,7 +40,8 @@ typedef struct {
     int feet, points;   /* and how many parts of each may touch */
     int rolls;          /* whether feet are round, so that they stand on any of their sides */
     sf_real dt, gravity; /* time between samples of the feet in s; m/s^2 */
-    sf_real legs_noise, velocity_noise, tilt_noise, bias_noise, first_velocity, first_tilt, first_bias, turned, known_tilt;
+    sf_real legs_noise, legs_speed, outlying, velocity_noise, tilt_noise, bias_noise;
+    sf_real first_velocity, first_tilt, first_bias, turned, known_tilt;
     sf_real vertical_bias_time, ground_time, rest_time, first_time, force_bias_time, zero_offset, touch, no_normal;
     sf_real sole_height, other_ground, still_velocity, still_tilt, still_spin, still_speed, still_force, contradiction;
     sf_real corners[SF_FEET * SF_CORNERS * 3], radius[SF_FEET * SF_CORNERS]; /* centres in the sole frames; m */
@@ -234,11 +235,12 @@ SF_API void sf_advance(const sf_timing *t, sf_strapdown *s, sf_posture *posture)
     }
     sf_grow(t, P);
     if (carried) {
-        sf_real off[3], gain[3], row[3] = {P[0], P[1], P[2]}, across[3], turned[9], moved[3];
-        for (int i = 0; i < 3; i++) {
-            gain[i] = row[i] / (row[0] + t->legs_noise / period);
-            off[i] = by_legs[i] + imu[i] - (sf_real)0.5 * (before[i] + after[i]);
-        }
+        sf_real off[3], gain[3], row[3] = {P[0], P[1], P[2]}, across[3], turned[9], moved[3], doubt, usual;
+        for (int i = 0; i < 3; i++) off[i] = by_legs[i] + imu[i] - (sf_real)0.5 * (before[i] + after[i]);
+        usual = 3 * (row[0] + t->legs_speed * t->legs_speed);
+        doubt = (off[0] * off[0] + off[1] * off[1] + off[2] * off[2]) / (t->outlying * t->outlying * usual);
+        if (doubt < 1) doubt = 1;
+        for (int i = 0; i < 3; i++) gain[i] = row[i] / (row[0] + doubt * t->legs_noise / period);
         for (int i = 0; i < 3; i++)
             for (int j = 0; j < 3; j++) P[3 * i + j] -= gain[i] * row[j];
         for (int i = 0; i < 3; i++) after[i] += gain[0] * off[i];

@@ -47,7 +47,7 @@ SF_API void sf_keep_momentum(const sf_timing *t, sf_momentum_beliefs *s, const s
 SF_API void sf_momentum_packet(const sf_model *m, const sf_timing *t, sf_momentum_beliefs *s, sf_whole number,
                                double arrival, const sf_real *angle, const sf_real *accelerometer,
                                const sf_real *gyroscope) {
-    sf_packet packet;
+    sf_motion_packet packet;
     sf_posture posture;
     int step;
     if (!sf_packet_of(m, &packet, number, arrival, angle, accelerometer, gyroscope)) return;

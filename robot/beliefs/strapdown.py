@@ -32,9 +32,14 @@ from surefoot.arrays import Floats
 from surefoot.calibration.arrays import skew
 from surefoot.robot.beliefs.contacts import FREE_FALL
 
+LEGS_SPEED = 0.05  # standard deviation in m/s of the legs' velocity, as soles that roll and yield make it
+
 LEGS_NOISE = 1.5e-3
-"""Spectral density of the error of the legs' velocity in m^2/s: 0.05 m/s that change every third of a
-second, because soles roll and yield."""
+"""Spectral density of that error in m^2/s: it changes every third of a second."""
+
+OUTLYING = 2.0
+"""Standard deviations of the innovation beyond which it counts for less, as of legs that slip, hang or hit
+the ground. Its noise is then taken to be half as large as itself."""
 
 VELOCITY_NOISE = 0.5 * LEGS_NOISE  # m^2/s^3: 0.03 m/s in a second, from vibrations of the accelerometer
 TILT_NOISE = 0.0375 * LEGS_NOISE  # times 1/g^2 in rad^2/s: 0.04 degrees in a second, of cheap gyroscopes
@@ -96,6 +101,8 @@ class StrapdownConstants(NamedTuple):
     corners: Floats  # their centres in the sole frames in m, shape (F, n, 3)
     radius: Floats  # their radii in m, shape (F, n); 0 of points
     legs_noise: float = LEGS_NOISE
+    legs_speed: float = LEGS_SPEED
+    outlying: float = OUTLYING
     velocity_noise: float = VELOCITY_NOISE
     tilt_noise: float = TILT_NOISE
     bias_noise: float = BIAS_NOISE
@@ -213,7 +220,9 @@ class Strapdown:
         P = self._transition @ self.covariance @ self._transition.T + self._noise
         if carried:
             off = velocity - 0.5 * (before + after)
-            gain = P[0] / (P[0, 0] + LEGS_NOISE / period)
+            usual = 3.0 * (P[0, 0] + LEGS_SPEED**2)
+            doubt = max(float(off @ off) / (OUTLYING**2 * usual), 1.0)
+            gain = P[0] / (P[0, 0] + doubt * LEGS_NOISE / period)
             P = P - np.outer(gain, P[0])
             after = after + gain[0] * off
             across = np.array([-off[1], off[0], 0.0])
