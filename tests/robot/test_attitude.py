@@ -24,15 +24,18 @@ class Standing:
     def __init__(self, feet: np.ndarray = FEET, rolls: bool = False) -> None:
         self.strapdown, self.feet = Strapdown(PERIOD, G, np.zeros((len(feet), 1, 4)), rolls), feet
 
-    def go_on(self, torso=0.0, spin=0.0, slope=0.0, force=0.0, gyroscope=0.0, first=0.0, seconds=PERIOD):
+    def go_on(
+        self, torso=0.0, spin=0.0, slope=0.0, force=0.0, gyroscope=0.0, first=0.0, kick=0.0, seconds=PERIOD
+    ):
         """Go on with a pitch of torso and ground in rad, and errors of the accelerometer and the gyroscope.
 
-        The specific force comes from a direction that is tilted by ``first``.
+        The specific force comes from a direction tilted by ``first``; feet slip ahead at ``kick`` m/s.
         """
         R, sole = pitch(torso), pitch(slope)
         sites = np.vstack([np.zeros(3), self.feet @ sole.T]) @ R
         axes = np.tile((R.T @ sole).T, (len(self.feet), 1))
         twist = np.zeros((1 + len(self.feet), 6))
+        twist[1:, 3] = kick
         felt = pitch(first) @ R.T @ (0.0, 0.0, G) + (force, 0.0, 0.0)
         for _ in range(round(seconds / PERIOD)):
             self.strapdown.advance(felt, np.array([0.0, spin + gyroscope, 0.0]), sites, axes, twist)
@@ -63,6 +66,13 @@ def test_a_tilted_first_sample_is_forgotten(tilted: float, gyroscope: float) -> 
     assert robot.tilt() < 0.01
     robot.go_on(seconds=3.0)
     assert robot.tilt() < 0.006
+
+
+def test_legs_that_slip_do_not_tilt_the_robot() -> None:
+    robot = Standing()
+    robot.go_on()
+    robot.go_on(kick=3.0, seconds=0.1)
+    assert robot.tilt() < np.radians(1.0)
 
 
 def test_the_covariance_narrows_and_stays_positive() -> None:
