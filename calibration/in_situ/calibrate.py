@@ -26,7 +26,8 @@ from threadpoolctl import ThreadpoolController
 
 from surefoot.calibration.diagnosis import CERTAIN
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.causes import Evidence, find_causes, tell_causes
+from surefoot.calibration.in_situ.causes.evidence import Evidence
+from surefoot.calibration.in_situ.causes.ranking import find_causes, tell_causes
 from surefoot.calibration.in_situ.check import check_sets
 from surefoot.calibration.in_situ.data import (
     InSituOptions,

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.calibration.arrays import skew
 from surefoot.calibration.diagnosis import Experience, Mistake, Tried
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.causes import Causes, penalise, tell_causes
+from surefoot.calibration.in_situ.causes.ranking import Causes, penalise, tell_causes
 from surefoot.calibration.in_situ.data import Matrix, Task, Vector
 from surefoot.calibration.in_situ.maker import log_evidence, log_prior
 from surefoot.calibration.in_situ.model import AXES, DIRECT, LEAST_LEVER, MASS, MOMENT, STATIC

@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import calibrate_in_situ
 from surefoot.calibration.in_situ.calibrate import _gather_evidence
-from surefoot.calibration.in_situ.causes import _try_axes, _try_bending, _try_reading
+from surefoot.calibration.in_situ.causes.events import try_bending
+from surefoot.calibration.in_situ.causes.masses import try_axes
+from surefoot.calibration.in_situ.causes.readings import try_reading
 from surefoot.calibration.in_situ.covariance import _doublings
 from surefoot.calibration.in_situ.data import InSituOptions, Task, change_motion
 from surefoot.calibration.in_situ.solver.solve import deviance, solve
@@ -220,7 +222,7 @@ def test_a_zero_that_follows_is_named_first_and_found():
 def test_the_sign_of_all_places_is_told_by_what_knows_torques(signs, known, said):
     """Without a matrix the opposite places fit as well: both are named, the fewest changes first."""
     sets = tuple(replace(one, added_com=one.added_com * signs) for one in noisy_leg(80))
-    first, *_ = _try_axes(_gather_evidence(Task(sets, **known), sets))
+    first, *_ = try_axes(_gather_evidence(Task(sets, **known), sets))
     assert first.words.endswith(f"x, y, z as given are {said}")
 
 
@@ -283,7 +285,7 @@ def test_a_log_without_noise_names_its_cause():
 
 def test_a_cause_that_is_tried_in_two_ways_has_the_odds_of_one():
     odds = {}
-    for cause in _try_bending(evidence_of(leg_sets())):
+    for cause in try_bending(evidence_of(leg_sets())):
         odds[cause.words] = odds.get(cause.words, 0.0) + 1.0 / cause.choices
     assert set(odds.values()) == {1.0}
 
@@ -291,5 +293,5 @@ def test_a_cause_that_is_tried_in_two_ways_has_the_odds_of_one():
 def test_readings_that_seldom_repeat_are_not_held():
     """A cause without an unknown that changes nothing is as likely as none."""
     assert not any(
-        cause.words.startswith("readings repeat") for cause in _try_reading(evidence_of(leg_sets()))
+        cause.words.startswith("readings repeat") for cause in try_reading(evidence_of(leg_sets()))
     )
