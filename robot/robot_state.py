@@ -21,7 +21,7 @@ from surefoot.robot.beliefs.lag import packets_per_join
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import NativeBeliefs, native_beliefs
 from surefoot.robot.beliefs.nominal import Masses
-from surefoot.robot.beliefs.references import LARGEST_VALUE, Beliefs
+from surefoot.robot.beliefs.references import FILLED_TIME, LARGEST_VALUE, Beliefs
 from surefoot.robot.model_file import read_robot
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet
@@ -32,7 +32,10 @@ LARGEST_RATE_ERROR = 0.1  # share by which a measured rate may differ from the s
 NEEDED_PERIODS = 2.5  # joined samples after a moment that differences and interpolation need
 EVEN = 0.2  # share of a step by which half of the steps may differ for times to be even
 UNLIKELY = 4.0  # mean absolute deviations, three standard deviations of normal jitter
-CLOCK_RESET = 1.0  # time in s that a clock must go back by to be one that was set anew
+CLOCK_RESET = 1.0  # time in s that a clock must be off by to be one that was set anew
+OUT_OF_ORDER = (
+    50  # samples by which a late one may be behind the newest; a number farther behind begins again
+)
 
 
 class Plan(NamedTuple):
@@ -72,8 +75,10 @@ class SampleClock:
 
     def number(self, time: float, number: int | None = None) -> int:
         """Take in the time in s of the next sample; return its number, by default the one that fits."""
-        if time < self.origin + self._last * self.period - CLOCK_RESET:
-            # The clock was set anew: what came before does not belong to what comes now.
+        # A clock that was set anew: what came before does not belong to what comes now.
+        if number is not None and abs(time - self.origin - number * self.period) > CLOCK_RESET:
+            self.origin = time - number * self.period
+        elif time < self.origin + self._last * self.period - CLOCK_RESET:
             self.origin = time - (self._last + MEMORY) * self.period
         late = time - self.origin - (self._last + 1) * self.period
         if number is None:
@@ -191,6 +196,7 @@ class RobotState:
         self._waiting: list[tuple[float, int | None, Floats]] = []
         self._newest: tuple[float, int | None, Floats] = (-np.inf, None, self._values)
         self._clock: SampleClock | None = None
+        self._number, self._added = -1, 0  # of the newest sample, and what is added to the robot's numbers
         self._beliefs: Beliefs | MomentumBeliefs | NativeBeliefs | None = None
         self.fell = False
 
@@ -224,7 +230,8 @@ class RobotState:
         """Take in one sample of encoders and IMU.
 
         A sample with NaN or an impossible number counts as lost, and so does one that is repeated or out of
-        order. A clock that jumps, and lost samples, leave a gap; nothing is raised.
+        order. A clock that jumps, a counter that begins again, and lost samples leave a gap; nothing is
+        raised.
 
         Args:
             joint_position: Angles in rad in the order of :attr:`joint_names`, shape (J,).
@@ -245,17 +252,23 @@ class RobotState:
         sample = float(time) - self._delay, number, values
         before, last, known = self._newest
         repeated = sample[0] == before and bool((values == known).all())
+        restarts = False
         if number is not None and last is not None:
-            late = number <= last
+            restarts = number <= last - OUT_OF_ORDER
+            late = number <= last and not restarts
         else:
             late = before - CLOCK_RESET < sample[0] < before
         if late or repeated:
             return
         self._newest = sample
         if self._clock is not None:
-            self._feed(self._clock.number(*sample[:2]), values)
+            counted = None if number is None or restarts else number + self._added
+            self._number = self._clock.number(sample[0], counted)
+            if number is not None:
+                self._added = self._number - number
+            self._feed(self._number, values)
             return
-        if sample[0] < before:
+        if sample[0] < before or restarts:
             self._waiting.clear()
         self._waiting.append(sample)
         if len(self._waiting) == START:
@@ -282,6 +295,7 @@ class RobotState:
         known = [number for number in numbers if number is not None]
         clock = SampleClock(times, known if len(known) == len(numbers) else None)
         if not abs(clock.period * self._rate - 1.0) < LARGEST_RATE_ERROR:
+            self._waiting.clear()
             raise ValueError(
                 f"Encoders and IMU came {1.0 / max(clock.period, 1e-9):.4g} times a second, and 'rate' is "
                 f"{self._rate:g}; give the true rate, and times in seconds."
@@ -291,7 +305,7 @@ class RobotState:
             robot.model, self._layout, clock.period, 0.0, self._averaged,
             lag=self.lag, dt=self.dt, joined=joined, touching=robot.touching, rolls=robot.rolls,
         )  # fmt: skip
-        self._period, self._clock = clock.period, clock
+        self._period, self._clock, self._number = clock.period, clock, clock.numbers[-1]
         self._beliefs = native_beliefs(MomentumBeliefs(beliefs) if self._momentum else beliefs)
         for number, (_, _, values) in zip(clock.numbers, self._waiting, strict=True):
             self._feed(number, values)
@@ -321,11 +335,19 @@ class RobotState:
         if (stance is None) != (swing is None):
             raise ValueError("Give both 'stance' and 'swing', or neither.")
         plan = None if stance is None else Plan(np.asarray(stance, bool), np.asarray(swing, bool))
+        if plan is not None and not plan.stance.shape == plan.swing.shape == (feet,):
+            raise ValueError(
+                f"'stance' and 'swing' must have shape ({feet},), a value for each foot, got "
+                f"{plan.stance.shape} and {plan.swing.shape}."
+            )
         beliefs, clock = self._beliefs, self._clock
         if beliefs is None or clock is None:
             return unknown(feet) if self._momentum else nothing(feet)
         moment = float(time) - self.lag * self.dt - self._age
         exact = (moment - clock.origin) / clock.period if isfinite(moment) else -np.inf
         self.fell = beliefs.sample(exact * self._period, plan)
+        if (exact - self._number) * self._period > FILLED_TIME:
+            # Encoders and IMU have stopped: what is believed is of their last sample.
+            return unknown(feet) if self._momentum else nothing(feet)
         found = beliefs.believed
         return found if isinstance(found, Reference | MomentumReference) else found.reference()

@@ -161,6 +161,32 @@ def test_a_clock_that_is_set_anew_is_followed() -> None:
         np.testing.assert_array_equal(reference.stance, True)
 
 
+def feed(state: RobotState, times: Any, numbers: Any) -> Any:
+    """Feed a robot that stands still, and return the reference of the last sample's time."""
+    reference = None
+    for time, number in zip(times, numbers, strict=True):
+        state.update(np.zeros(24), np.zeros(3), UP, float(time), int(number))
+        reference = state.reference(float(time))
+    return reference
+
+
+@pytest.mark.parametrize("wrong", ["counter", "counter of a byte", "clock", "both"])
+def test_a_counter_or_a_clock_that_begins_again_is_followed(wrong: str) -> None:
+    number, state = np.arange(900), RobotState(NAO, dt=0.01)
+    time, later = 0.01 * number, number >= 400
+    if wrong == "counter of a byte":
+        number = number % 256
+    elif wrong != "clock":
+        number = np.where(later, number - 400, number + 70_000)
+    if wrong in ("clock", "both"):
+        time = time + 1e4 * (later if wrong == "clock" else ~later)
+    reference = feed(state, time, number)
+    np.testing.assert_array_equal(reference.stance, True)
+    np.testing.assert_allclose(reference.com_velocity, 0.0, atol=1e-9)
+    # Half a second after the last sample nothing is known of the robot.
+    assert np.isnan(state.reference(float(time[-1]) + 0.5).com).all()
+
+
 def test_samples_have_the_numbers_of_their_times() -> None:
     """A clock of 98.7 Hz with a jitter of 1 ms, of which samples are lost one by one and in a row."""
     rng = np.random.default_rng(1)
@@ -232,6 +258,10 @@ def test_a_wrong_rate_or_shape_is_named() -> None:
     state = RobotState(NAO, rate=200.0)
     with pytest.raises(ValueError, match=r"came 100 times a second, and 'rate' is 200"):
         stand(state)
+    with pytest.raises(ValueError, match=r"came 100 times a second"):  # and again, not only once
+        stand(state)
+    with pytest.raises(ValueError, match=r"'stance' and 'swing' must have shape \(2,\), a value for each"):
+        state.reference(0.0, stance=[True], swing=[False])
     with pytest.raises(ValueError, match=r"'gyroscope' must have shape \(3,\), got \(4,\)"):
         state.update(np.zeros(24), np.zeros(4), UP, 0.0)
     with pytest.raises(FileNotFoundError, match=r"There is no model file 'gone\.xml'"):
