@@ -1,4 +1,4 @@
-"""What ``surefoot evaluate`` was asked for, as plain data that a file may hold."""
+"""The request of ``surefoot evaluate`` as plain data, which a file may hold."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -126,17 +126,20 @@ def find_backend(name: str, address: str | None) -> AbstractContextManager[Any]:
         if name == "dask":
             from distributed import Client
 
-            Client(address)  # becomes the default client, which joblib asks for
+            try:
+                Client(address)  # becomes the default client, which joblib asks for
+            except OSError as error:
+                raise ValueError(
+                    f"No scheduler of dask answers at '{address}' ({error}); start one, or correct --address."
+                ) from error
         if name == "ray":
             from ray.util.joblib import register_ray
 
             register_ray()
         chosen: AbstractContextManager[Any] = joblib.parallel_config(name)
         return chosen
-    except (ImportError, ValueError) as error:
-        raise ValueError(
-            f"The backend '{name}' of joblib is not there ({error}); install its package."
-        ) from error
+    except ImportError as error:
+        raise ValueError(f"The backend '{name}' cannot be used ({error}); install its package.") from error
 
 
 def film_case(results: Evaluation, case: int, path: Path) -> Path:

@@ -1,4 +1,4 @@
-"""The grid of an evaluation: which episodes there are, who runs them, and where their rows are kept."""
+"""The grid of an evaluation: its episodes, the processes that run them, and the folder of their rows."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -10,6 +10,8 @@ from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from surefoot.experiments.evaluate.episode import OUTCOME, VERSIONS, Stage, outcome_of_failure, versions
 from surefoot.experiments.evaluate.feet import method_of
@@ -278,10 +280,11 @@ def _identity(policy: Any, env_id: str) -> str:
 
 def _seeds(seeds: int | Sequence[int], policy: Any) -> tuple[int, ...]:
     """Return the seeds; ValueError at those that a training has used."""
-    if isinstance(seeds, int):
+    if isinstance(seeds, int | np.integer):
         seeds = range(FIRST_SEED, FIRST_SEED + seeds)
     if not len(seeds):
         raise ValueError("'seeds' is empty, so that there is nothing to run; name at least one.")
+    seeds = [int(seed) if isinstance(seed, np.integer) else seed for seed in seeds]
     for seed in seeds:
         if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < TRAINING_SEEDS:
             raise ValueError(

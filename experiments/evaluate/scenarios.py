@@ -1,13 +1,13 @@
-"""Circumstances of any environment on MuJoCo, as wrappers below the sensors: the robot does not know of them.
+"""Changes of any world in MuJoCo that the robot does not know of, as wrappers below the sensors.
 
 =====================  =====================================================================================
 in words               meaning
 =====================  =====================================================================================
 ``payload=1.5``        mass in kg that is added to the torso, at its centre of mass
-``slope=3``            ground that falls off to the front by as many degrees
+``slope=3``            degrees by which the ground falls off to the front
 ``friction=0.3``       coefficient of sliding friction of everything
 ``soft=0.05``          time constant in s of contacts, 0.02 being MuJoCo's
-``push=2``             impulses of so many N s on the torso, once a second in a direction that the seed draws
+``push=2``             impulses in N s on the torso, once a second in directions that the seed draws
 =====================  =====================================================================================
 """
 
@@ -22,12 +22,12 @@ import numpy as np
 from surefoot.wrappers.source import find_source
 
 _STREAM = 0x9054  # of directions and moments, apart from the streams of environments and sensors
-PUSH_EVERY, PUSH_LASTS = 1.0, 0.1  # s between two pushes, and that a push lasts
+PUSH_EVERY, PUSH_LASTS = 1.0, 0.1  # time in s between two pushes, and duration of one
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Numbers of the world that are not those that a policy was trained with."""
+    """What differs from the world that a policy was trained in."""
 
     payload: float = 0.0  # kg
     slope: float = 0.0  # degrees
@@ -49,8 +49,15 @@ class Scenario:
         """Change the world of an environment that records its truth, and push its robot."""
         source: Any = find_source(env)
         model, torso = source.model, source.model.body(source.drawing.torso).id
-        model.body_inertia[torso] *= 1.0 + self.payload / model.body_mass[torso]
-        model.body_mass[torso] += self.payload
+        if self.payload:
+            mass = float(model.body_mass[torso])
+            if not mass > 0.0:
+                raise ValueError(
+                    f"The scenario's 'payload' is {self.payload:g} kg on the torso "
+                    f"'{source.drawing.torso}', which has no mass itself; leave it out, or change the model."
+                )
+            model.body_inertia[torso] *= 1.0 + self.payload / mass
+            model.body_mass[torso] += self.payload
         angle, down = np.deg2rad(self.slope), float(np.linalg.norm(model.opt.gravity))
         if self.slope:
             model.opt.gravity[:] = down * np.array([np.sin(angle), 0.0, -np.cos(angle)])
@@ -75,6 +82,7 @@ class Pushed(gym.Wrapper[Any, Any, Any, Any]):
         if seed is not None:
             self._rng = np.random.default_rng([_STREAM, seed])
         self._steps = 0
+        self._source.data.xfrc_applied[self._torso, :2] = 0.0  # an episode may end during a push
         return self.env.reset(seed=seed, options=options)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:

@@ -343,3 +343,18 @@ def test_a_cluster_gives_the_same_rows_though_a_worker_is_killed(monkeypatch):
     pd.testing.assert_frame_equal(
         here.drop(columns="wall_time"), there.drop(columns="wall_time"), check_exact=True
     )
+
+
+def test_a_torso_without_mass_is_pushed_and_takes_no_payload():
+    feet = Setup(_biped.make).feet("true", 1.0)
+    model, torso = feet.source.model, feet.source.model.body("torso").id
+    model.body_mass[torso], inertia = 0.0, model.body_inertia[torso].copy()
+    Scenario(push=2.0)(feet)
+    np.testing.assert_array_equal(model.body_inertia[torso], inertia)
+    with pytest.raises(ValueError, match="'payload' is 1 kg on the torso 'torso', which has no mass itself"):
+        Scenario(payload=1.0)(feet)
+
+
+def test_seeds_may_be_an_array():
+    plan = Plan.of(_biped.make, _biped.swing, seeds=np.arange(3), feeds=("true",))
+    assert [one.seed for one in plan.episodes] == [0, 1, 2]
