@@ -17,7 +17,7 @@ from surefoot.calibration.online import MethodOptions, online_method, resolve_me
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, MomentumReference, Reference
 from surefoot.calibration.setup import setup_from_options
-from surefoot.calibration.state import load_state, mass_share, read_note, save_state
+from surefoot.calibration.state import load_state, mass_share, save_state
 from surefoot.calibration.weights.curves import Curves
 from surefoot.calibration.weights.known_map import read_map
 from surefoot.names import plain_name
@@ -203,10 +203,11 @@ class FootCalibrator(OfOneVersion):
         save_state(path, self.state, self.limits, **self._notes(), mass=repr(float(self.setup.mass)))
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on from a file that :meth:`save` wrote, bit for bit.
+        """Go on from a file that :meth:`save` wrote: estimates are the same, bit for bit.
 
-        The robot's mass may have changed by up to a fifth since, such as with another battery. A warning says
-        so, and the map of the channels is kept.
+        Only the comparison with the starting map (:attr:`Flag.WORSE_THAN_START`) begins again, as sensors may
+        have changed meanwhile. The robot's mass may have changed by up to a fifth, for example with another
+        battery: a warning says so, and the map of the channels is kept.
 
         Raises:
             FileNotFoundError: If there is no such file.
@@ -215,8 +216,7 @@ class FootCalibrator(OfOneVersion):
         """
         fresh = self._pure.init(np.zeros(self.setup.layout.channels))
         state = load_state(path, fresh, self.limits, **self._notes())
-        now = float(self.setup.mass)
-        self.adopt(state, mass_share(path, float(read_note(path, "mass") or now), now))
+        self.adopt(state, mass_share(path, float(self.setup.mass)))
 
     def adopt(self, state: Any, share: float = 1.0) -> None:
         """Go on from a state of this robot, when its mass was a share of the present one."""

@@ -1,11 +1,11 @@
-"""Keeping the state of an online method: to a file and back without losing a bit.
+"""Save the state of an online method to a file, and read it back without loss.
 
 A state is a tree of tuples, mostly named, with arrays and numbers at its leaves. The file is a plain
-``.npz`` with one entry a leaf, named by its path such as ``"front.raw"``, and no pickles.
+``.npz`` without pickles. It has one entry for each leaf, named by the leaf's path such as ``"front.raw"``.
 
-A state is checked on both ways by the same rules, so that no diverged state replaces a good file and no
-edited one reaches a robot: shapes and dtypes, finite numbers, covariances that can be some, and the limits
-that a method sets on its numbers.
+Saving and loading check a state by the same rules: shapes and dtypes, finite numbers, valid covariances, and
+the limits that a method sets on its numbers. A diverged state therefore does not replace a good file, and an
+edited file does not reach a robot.
 """
 
 import warnings
@@ -23,11 +23,11 @@ from surefoot.files import AnyPath, atomic_path, read_arrays
 _FORMAT = "surefoot-state-1"
 
 Limits = Mapping[str, tuple[ArrayLike, ArrayLike] | None]
-"""Least and greatest value of leaves by the last part, or the last two, of their names; ``None`` for those of
-an emulated device that are NaN or infinite where nothing has come yet."""
+"""Least and greatest value of leaves by the last part, or the last two, of their names. ``None`` allows NaN
+and infinity, which some leaves of emulated devices hold before the first sample."""
 
 LARGEST = 2.0**53
-"""Magnitude beyond which a float64 cannot tell one count from the next: no number of a robot is there."""
+"""Magnitude beyond which a float64 does not resolve single counts: no number of a robot is as large."""
 
 _ANY = (-LARGEST, LARGEST)
 _NO_LIMITS: Limits = MappingProxyType({})
@@ -37,11 +37,11 @@ _ROOM, _HEADER = 2**20, 256  # bytes of a file besides the numbers: notes, and w
 
 
 def save_state(path: AnyPath, state: Any, limits: Limits = _NO_LIMITS, /, **notes: str) -> None:
-    """Write a state of an online method, and texts to check again, to a file under the name as it is given.
+    """Write a state of an online method, and notes that :func:`load_state` compares, to a file.
 
     ValueError if a leaf is beyond its limits, such as those of an
-    :class:`~surefoot.calibration.setup.OnlineMethod`, so that :func:`load_state` would refuse it, or
-    something else than a regular file bears the name; a file that is there is left as it is.
+    :class:`~surefoot.calibration.setup.OnlineMethod`, or the path is not that of a regular file. A file that
+    exists is then left unchanged.
     """
     leaves = {name: np.asarray(leaf) for name, leaf in _leaves(state).items()}
     check_leaves(leaves, limits, f"Nothing was written to '{path}'")
@@ -55,11 +55,16 @@ LARGEST_MASS_CHANGE = 0.2
 """Share by which a robot's mass may differ from that of a saved state: a battery, a payload, other shoes."""
 
 
-def mass_share(path: AnyPath, saved: float, now: float) -> float:
-    """Return the mass of a saved state as a share of the present one in kg; both are of one robot.
+def mass_share(path: AnyPath, now: float) -> float:
+    """Return the mass for which a state was saved, by its note ``mass``, as a share of the present one in kg.
 
     Warns if they differ; ValueError if they differ by so much that the state is another robot's.
     """
+    text = read_arrays(path, _LARGEST_FILE).get("note.mass")
+    try:
+        saved = now if text is None else float(str(text))
+    except ValueError:
+        raise ValueError(f"'{path}' has the mass '{text}', which is not a number: it was changed.") from None
     if saved == now:
         return 1.0
     if not abs(saved / now - 1.0) <= LARGEST_MASS_CHANGE:
@@ -76,21 +81,15 @@ def mass_share(path: AnyPath, saved: float, now: float) -> float:
     return saved / now
 
 
-def read_note(path: AnyPath, name: str) -> str | None:
-    """Return a text of a saved state; ``None`` if the file has none of that name."""
-    text = read_arrays(path, _LARGEST_FILE).get(f"note.{name}")
-    return None if text is None else str(text)
-
-
 def load_state(path: AnyPath, like: Any, limits: Limits = _NO_LIMITS, /, **notes: str) -> Any:
     """Read a state that :func:`save_state` wrote.
 
-    ``like`` is a state of the same method and setup, such as a fresh one, whose shapes must fit; it is not
-    changed. Notes must be as they were saved. FileNotFoundError if there is no such file; ValueError if it is
-    no state, not one of this method, shape and dtype, or holds numbers that no state can have.
+    ``like`` is a state of the same method and setup, such as a fresh one; it is not changed. Shapes, dtypes
+    and notes must be the same. FileNotFoundError if there is no such file; ValueError if it does not hold a
+    state, or one of another method or setup, or numbers that are impossible in a state.
     """
     wanted = {name: np.asarray(leaf) for name, leaf in _leaves(like).items()}
-    # Twice: of a state that is somewhat larger the message names what does not fit.
+    # A state that is up to twice as large is read, so that the message names what does not fit.
     largest = sum(2 * leaf.nbytes + _HEADER for leaf in wanted.values()) + _ROOM
     try:
         entries = read_arrays(path, largest)
@@ -143,14 +142,15 @@ def _check_notes(path: AnyPath, entries: Mapping[str, Any], notes: Mapping[str, 
 
 
 def _robots(leaves: Mapping[str, Any]) -> int:
-    """Return of how many robots leaves are, which have numbers in front if they are several."""
+    """Return the number of robots. Names of leaves begin with a robot's number if there are several."""
     return max(1, len({name.partition(".")[0] for name in leaves if name[0].isdigit()}))
 
 
 def check_leaves(leaves: Mapping[str, NDArray[Any]], limits: Limits, refusal: str) -> None:
-    """Raise ValueError at a leaf that no state of a robot can hold; the message begins with ``refusal``.
+    """Raise ValueError at a leaf that is impossible in a state; the message begins with ``refusal``.
 
-    Arrays by their names; those of many robots have these first. Limits are those of :func:`save_state`.
+    Leaves are arrays by their names, with the robots along the first axis if there are many. Limits are those
+    of :func:`save_state`.
     """
     for name, leaf in leaves.items():
         if leaf.dtype.kind not in "iuf" or not leaf.size:
@@ -171,7 +171,7 @@ def check_leaves(leaves: Mapping[str, NDArray[Any]], limits: Limits, refusal: st
 
 
 def _covariance_problem(matrix: NDArray[Any]) -> str:
-    """Return why a matrix is no covariance; nothing if it is one to rounding."""
+    """Return why a matrix is not a covariance; empty if it is one within rounding errors."""
     rounding = np.sqrt(np.finfo(matrix.dtype).eps) * np.abs(matrix).max()
     if np.abs(matrix - np.swapaxes(matrix, -1, -2)).max() > rounding:
         return "is not symmetric, as a covariance is"

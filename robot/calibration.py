@@ -18,7 +18,7 @@ from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import ReferenceRecord
 from surefoot.calibration.online import MethodOptions, method_entry, resolve_method
-from surefoot.calibration.state import load_state, mass_share, read_note, save_state
+from surefoot.calibration.state import load_state, mass_share, save_state
 from surefoot.names import plain_name
 from surefoot.pickles import OfOneVersion
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors
@@ -442,8 +442,7 @@ class CalibrationFace(ABC):
         """
         like, first = self._learnt(), self._robots[0]
         found = load_state(path, like, first.limits(), **first.notes())
-        mass = first.drawn_mass
-        share = mass_share(path, float(read_note(path, "mass") or mass), mass)
+        share = mass_share(path, first.drawn_mass)
         for robot, learnt in zip(self._robots, (found,) if isinstance(like, Learnt) else found, strict=True):
             robot.take_over(learnt, share)
         self._gather()
