@@ -63,6 +63,10 @@ class Limb:
     mass_com: NDArray[np.float64]
     inertia: NDArray[np.float64] | None = None
 
+    def __post_init__(self) -> None:
+        if np.shape(self.mass_com) != (3,):
+            raise ValueError(f"mass_com must have shape (3,), in kg m, got {np.shape(self.mass_com)}.")
+
     @property
     def com(self) -> NDArray[np.float64]:
         """Centre of mass in the sensor's frame in m, shape (3,)."""
@@ -78,7 +82,7 @@ class Limb:
 
         ``gravity`` is in the sensor's frame in m/s^2 and points down, shape (..., 3).
         """
-        g = np.asarray(gravity, dtype=np.float64)
+        g = _vectors("gravity", gravity, 3)
         return np.concatenate([self.mass * g, np.cross(self.mass_com, g)], axis=-1)
 
     def compensate(self, wrench: ArrayLike, gravity: ArrayLike) -> NDArray[np.float64]:
@@ -95,7 +99,15 @@ class Limb:
         >>> gripper.compensate(gripper.weight(level) + [0.0, 0.0, 5.0, 0.0, 0.0, 0.0], level)
         array([0., 0., 5., 0., 0., 0.])
         """
-        return np.asarray(np.asarray(wrench, dtype=np.float64) - self.weight(gravity))
+        return np.asarray(_vectors("wrench", wrench, 6) - self.weight(gravity))
+
+
+def _vectors(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
+    """Return an array of vectors, shape (..., size), or raise ValueError."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape[-1:] != (size,):
+        raise ValueError(f"'{name}' must have shape (..., {size}), got {array.shape}.")
+    return array
 
 
 def _name(in_file: str) -> dict[str, str]:
@@ -228,6 +240,7 @@ class InSituFit:
         Returns:
             Wrench of the limb on the robot, at and in the sensor's frame, shape (..., 6).
         """
+        raw = _vectors("raw", raw, self.matrix.shape[1])
         o = self.offset if offset is None else np.asarray(offset)
         gain: NDArray[np.float64] | float = 1.0
         if temperature is not None and self.temperature_coefficient is not None:

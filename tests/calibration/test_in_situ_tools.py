@@ -122,3 +122,10 @@ def test_a_tools_weight_is_taken_off_a_single_sample_and_off_many():
     wrench = TOOL.weight(gravity) + push
     np.testing.assert_allclose(TOOL.compensate(wrench, gravity), np.tile(push, (5, 1)), atol=1e-12)
     np.testing.assert_allclose(TOOL.compensate(wrench[2], gravity[2]), push, atol=1e-12)
+
+
+def test_shapes_that_are_wrong_are_named() -> None:
+    with pytest.raises(ValueError, match=r"^mass_com must have shape \(3,\), in kg m, got \(2,\)\.$"):
+        Limb(1.0, np.zeros(2))
+    with pytest.raises(ValueError, match=r"^'wrench' must have shape \(\.\.\., 6\), got \(5,\)\.$"):
+        TOOL.compensate(np.zeros(5), np.array([0.0, 0.0, -9.81]))
