@@ -28,7 +28,7 @@ def walk(
         str | None, Option(help="Start from the nominal or the calibrated map, or from a JSON of weights.")
     ] = None,
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
-    settle: Annotated[float, Option(help="Errors count from this time in s on.")] = 0.0,
+    settle: Annotated[float, Option(help="Seconds at the start that do not count in errors.")] = 0.0,
     zero_phase: Annotated[bool, Option("--zero-phase", help="Filter with hindsight, as the paper.")] = False,
     stand: Annotated[
         float,
@@ -56,13 +56,13 @@ def walk(
             gap = float("inf") if split_gaps else MAX_GAP
             read = read_log(log, gap, topics, feet_alone=method in ("tare", "none"))
         first, last = read.time[0], read.time[-1]
-        if settle and not first <= settle < last:
-            fail(f"--settle must be a time of the log, {first:.12g} to {last:.12g} s, got {settle:g}.")
+        if not 0.0 <= settle < last - first:
+            fail(f"--settle must be shorter than the log's {last - first:.4g} s, got {settle:g}.")
         if stand and not 0.0 < stand < last - first:
             fail(f"--stand must be shorter than the log's {last - first:.4g} s and positive, got {stand:g}.")
         where: Any = {"folder": log.parent if out is None else out, "stem": log.stem, "file": log.name}
         where |= {"accept": accept or "", "ros2": ros2, "stand": stand}
-        result = calibrate_log(read, method, start, settle=settle, zero_phase=zero_phase, **where)
+        result = calibrate_log(read, method, start, settle=first + settle, zero_phase=zero_phase, **where)
     show(result.tables, result.files, notices=result.notices, as_json=as_json)
 
 

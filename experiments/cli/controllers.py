@@ -142,7 +142,10 @@ def evaluate(
             return
         how: Any = {"jobs": jobs if backend == "loky" else None, "any_version": any_version}
         with find_backend(backend, address):
-            results = wanted.run(out, trusted=trusted, **how)
+            try:
+                results = wanted.run(out, trusted=trusted, **how)
+            except TypeError as error:  # no environment on MuJoCo, or an option that it does not take
+                fail(str(error))
     _report(results, as_json)
 
 

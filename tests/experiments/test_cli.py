@@ -204,7 +204,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
         [*walk, path, "--start", "calibrated"],
         "The log's description has no 'calibrated' map; start from 'nominal', or add the map.",
     )
-    fails([*walk, path, "--settle", "99"], "--settle must be a time of the log, 0 to 0.7375 s, got 99.")
+    fails([*walk, path, "--settle", "99"], "--settle must be shorter than the log's 0.7375 s, got 99.")
     fails(
         ["calibrate", "ft", "--sample", "--accept", " "],
         "--accept needs the reason why a refusal may be passed; every file that is made says it.",
