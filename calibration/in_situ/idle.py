@@ -1,4 +1,4 @@
-"""Readings that do not follow gravity: channels that read noise alone, or wrenches of another frame."""
+"""Checks that readings follow gravity: idle channels, compensated readings and those of another frame."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -13,14 +13,14 @@ from surefoot.calibration.in_situ.model import AXES, SPREAD_ROUNDING, STATIC, tr
 from surefoot.calibration.results import Finding
 
 _CHANCE = 1e-4  # probability at which noise alone may seem to follow gravity
-_MANY = 3  # channels without gravity that are no coincidence of single gauges
-_EXPECTED = 3.0  # multiple of chance by which gravity must be expected in a channel that does not show it
+_MANY = 3  # idle channels from which a common cause is likelier than broken gauges
+_EXPECTED = 3.0  # multiple of the limit by which gravity must be expected in a channel to call it idle
 
 
 def check_idle(sets: Sequence[InSituSet], factory: NDArray[np.float64] | None) -> Iterator[Finding]:
-    """Yield which readings do not follow gravity in any set: of single channels, of forces, or of all.
+    """Find channels, or forces, that do not follow gravity in any set.
 
-    ``factory`` is the maker's matrix, shape (6, k), by which channels are forces; None if there is none.
+    ``factory`` is the maker's matrix, shape (6, k), which converts channels to forces, or ``None``.
     """
     limit = float(chdtri(3 * len(sets), _CHANCE))
     if sum(len(data.raw) for data in sets) / 2 <= limit:
@@ -30,13 +30,13 @@ def check_idle(sets: Sequence[InSituSet], factory: NDArray[np.float64] | None) -
     if factory is not None:
         forces = np.sum([_follow_gravity(data, data.raw @ factory[:3].T) for data in sets], axis=0)
     if factory is not None and not np.all(forces < limit):
-        # A torque about an axis through the centre of mass stays zero, so that its channel reads noise alone.
+        # A torque about an axis through the centre of mass is always zero, and its channel only has noise.
         expected = np.sum([_expect_gravity(data, factory) for data in sets], axis=0)
         idle = idle[expected[idle] > _EXPECTED * limit]
     if len(idle) >= _MANY or (len(forces) and np.all(forces < limit)):
         what = "None of the channels follows gravity"
         if len(idle) < len(follows):
-            what = f"The forces do not follow gravity: channels {', '.join(map(str, idle))} read noise alone"
+            what = f"The forces do not follow gravity: channels {', '.join(map(str, idle))} only have noise"
             if len(forces) and np.all(forces < limit):
                 what = "The forces do not follow gravity"
         reason = (
@@ -55,7 +55,7 @@ def check_idle(sets: Sequence[InSituSet], factory: NDArray[np.float64] | None) -
 
 
 def _expect_gravity(data: InSituSet, factory: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return n R^2 of each channel, shape (k,), of the weight that a maker's matrix, shape (6, k), shows."""
+    """Return the n R^2 on gravity that a maker's matrix, shape (6, k), predicts for each channel, (k,)."""
     whole = np.isfinite(data.raw).all(axis=1) & np.isfinite(data.gravity).all(axis=1)
     raw, gravity = (one[whole] - one[whole].mean(axis=0) for one in (data.raw, data.gravity))
     loads = (transform_basis(False) @ gravity.T).swapaxes(1, 2).reshape(STATIC, -1)
@@ -66,12 +66,12 @@ def _expect_gravity(data: InSituSet, factory: NDArray[np.float64]) -> NDArray[np
 
 
 def _follow_gravity(data: InSituSet, readings: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return n R^2 of each channel's readings, shape (n, k), on gravity, shape (k,); three by chance."""
+    """Return the n R^2 of a regression of each channel on gravity, shape (k,); about 3 for pure noise."""
     there = np.isfinite(readings) & np.isfinite(data.gravity).all(axis=1, keepdims=True)
     follows, alike = np.empty(readings.shape[1]), defaultdict[bytes, list[int]](list)
     for channel, rows in enumerate(there.T):
         alike[rows.tobytes()].append(channel)
-    # Channels that are there in the same samples share a basis.
+    # Channels with readings in the same samples share a basis.
     for channels in alike.values():
         rows = there[:, channels[0]]
         gravity, counts = data.gravity[rows], readings[rows][:, channels]

@@ -2,7 +2,6 @@
 
 import math
 import socket
-from collections import deque
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import viser
 
 from surefoot.calibration import GRAVITY, METHODS, FootCalibrator, Reference
-from surefoot.calibration.contacts import SURE, contacts_from_load, reference_of_contacts
+from surefoot.calibration.contacts import LoadContacts, reference_of_contacts
 from surefoot.experiments.logs.checks import check_load_cells
 from surefoot.experiments.logs.clock import origin_of
 from surefoot.experiments.logs.columns import (
@@ -34,7 +33,6 @@ from surefoot.files import parse_json, read_text
 
 LARGEST_PACKET = 65536  # bytes, which is all that UDP carries
 MOST_AT_ONCE = 1000  # packets read between two frames; the rest is read after the next one
-FELT_FOR = 10.0  # s of load from which contacts of feet alone are estimated
 QUIET = 1.0  # s without a row after which the page reports it
 
 
@@ -132,13 +130,12 @@ class StreamFeet:
 
     def _begin(self) -> None:
         facts, alone = self.facts, self._alone
-        # Contacts estimated from the load are known some samples later.
-        self._late = round(SURE / facts.dt_s) + 1 if alone else facts.lag_samples
-        self._load: deque[Any] = deque(maxlen=round(FELT_FOR / facts.dt_s))
+        self._contacts = LoadContacts(facts.mass_kg * GRAVITY, len(self.layout.feet), facts.dt_s)
+        late = self._contacts.lag if alone else facts.lag_samples
         self._time = self._origin = math.nan
         self._calibrators = [
             FootCalibrator(
-                self.layout, method, mass=facts.mass_kg, initial=facts.nominal, dt=facts.dt_s, lag=self._late
+                self.layout, method, mass=facts.mass_kg, initial=facts.nominal, dt=facts.dt_s, lag=late
             )
             for method in ("none", self.method)
         ]
@@ -154,11 +151,8 @@ class StreamFeet:
         if names[0][0] in row:
             stance, swing = (np.array([_number(row, name) > 0.5 for name in some]) for some in names)
         else:
-            force = np.nan_to_num(self.facts.nominal.force(raw))
-            self._load.append([force[part].sum() for part in self.layout.slices])
-            load = np.array(self._load)
-            felt = contacts_from_load(load, self.facts.mass_kg * GRAVITY, self.facts.dt_s)
-            stance, swing = (part[max(len(load) - 1 - self._late, 0)] for part in felt)
+            force = self.facts.nominal.force(raw)
+            stance, swing = self._contacts.update([force[part].sum() for part in self.layout.slices])
         return reference_of_contacts(stance, swing, place_apart(len(self.layout.feet)))
 
 
