@@ -38,7 +38,10 @@ class HeldRows:
     def __getitem__(self, key: Any) -> Any:
         """Return rows, or parts of them; the first index is that of the rows."""
         first, *rest = key if isinstance(key, tuple) else (key,)
-        if first is Ellipsis or first is None:
+        arrays = [np.ndim(one) > 0 for one in (first, *rest) if one is not Ellipsis]
+        # Arrays beside an array for the rows select single elements together, and masks may have more axes.
+        paired = np.ndim(first) > 1 or (np.ndim(first) > 0 and sum(arrays) > 1)
+        if first is Ellipsis or first is None or paired:
             return np.asarray(self)[key]
         return self.values[(slice(None), *rest)][self.row[first]]
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from _synthetic import DT, LAYOUT, MASS, NOMINAL, Faults, believed_mass, walk
 
+from surefoot.arrays import HeldRows
 from surefoot.calibration import (
     METHODS,
     FeetLayout,
@@ -326,3 +327,22 @@ def test_a_replay_keeps_less_than_a_kilobyte_for_each_sample(log):
     np.testing.assert_array_equal(found.covariance[50:90], whole[50:90])
     np.testing.assert_array_equal(found.covariance[:, diagonal, diagonal], whole[:, diagonal, diagonal])
     np.testing.assert_array_equal(found.covariance[..., 0, 1], whole[..., 0, 1])
+
+
+HELD = HeldRows(np.arange(8.0).reshape(2, 2, 2), np.array([0, 0, 1]))
+KEYS = [
+    -1,
+    slice(1, None),
+    np.array([True, False, True]),
+    np.ones((3, 2), dtype=bool),
+    (slice(None), [0, 1], [0, 1]),
+    ([0, 2], 0),
+    ([0, 2], [0, 1]),
+    (..., 0),
+    (slice(None), None, 1),
+]
+
+
+@pytest.mark.parametrize("key", KEYS, ids=str)
+def test_rows_that_are_stored_once_are_indexed_as_an_array(key):
+    np.testing.assert_array_equal(HELD[key], np.asarray(HELD)[key], strict=True)
