@@ -44,7 +44,7 @@ def walk(
     as_json: Json = False,
 ) -> None:
     """Calibrate a walk: counts and the robot's beliefs in, calibrated forces, CoP and parameters out."""
-    from surefoot.experiments.logs.format import MAX_GAP, read_log
+    from surefoot.experiments.logs.format import LOST_ROWS, read_log
     from surefoot.experiments.study.progress import working
     from surefoot.experiments.walking.calibrate import calibrate_log
 
@@ -53,7 +53,7 @@ def walk(
         _guess(log, walk=True)
     with one_line_errors():
         with working("reading the log"):
-            gap = float("inf") if split_gaps else MAX_GAP
+            gap = float("inf") if split_gaps else LOST_ROWS
             read = read_log(log, gap, topics, feet_alone=method in ("tare", "none"))
         first, last = read.time[0], read.time[-1]
         if not 0.0 <= settle < last - first:

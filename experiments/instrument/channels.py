@@ -26,7 +26,7 @@ from surefoot.experiments.instrument.noise import (
 )
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.logs.checks import SPLIT, TWO_SESSIONS
-from surefoot.experiments.logs.clock import EPOCH, SLOWEST, find_gaps, unit_of_times
+from surefoot.experiments.logs.clock import EPOCH, LOST_ROWS, SLOWEST, find_gaps, unit_of_times
 from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import sentence
 
@@ -180,7 +180,7 @@ def _check_clock(recording: Recording) -> Iterator[Wrong]:
     if not (steps > 0.0).any():
         return
     usual = float(np.median(steps))
-    gaps = find_gaps(steps) if walks and usual < SLOWEST else find_leaps(time)
+    gaps = find_gaps(steps, LOST_ROWS) if walks and usual < SLOWEST else find_leaps(time)
     if clock is not None:
         gaps[[first - 1 for first in clock.sessions[1:]]] = False
     if gaps.any() and (steps >= 0.0).all():

@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from pydantic import Field, PlainValidator, model_validator
 
 from surefoot.arrays import Floats
-from surefoot.experiments.logs.motion import ACCELEROMETER, GYROSCOPE, PACKET, count_rows, even_times
+from surefoot.experiments.logs.motion import (
+    ACCELEROMETER,
+    GYROSCOPE,
+    PACKET,
+    count_rows,
+    even_rows,
+    even_times,
+    means_since,
+)
 from surefoot.experiments.logs.settings import Number, Settings
 from surefoot.experiments.logs.table import LogError, LogTable
 from surefoot.experiments.study.tables import flat
@@ -109,11 +117,50 @@ class Bag(NamedTuple):
         parts = [one for one in self.series if any(map(wanted, one.columns))]
         if not parts:
             return LogTable(self.file, pa.table({}), self.notices)
-        rows = parts[0]
+        return self._on_rows(parts[0], parts, wanted, _onto)
+
+    def motion(self, averaged: bool) -> tuple[LogTable, bool]:
+        """Return joints and IMU on the rows of the joints, and whether the IMU is a mean over each of them.
+
+        ``averaged`` says so of the IMU's own rows. Where the IMU has rows of its own, it is averaged over
+        those of the joints, which are counted at their even rate: a row of joints that was lost costs none of
+        the IMU's.
+        """
+        inertial = {*ACCELEROMETER, *GYROSCOPE}
+        jointed = [one for one in self.series if any(name.startswith("joint_") for name in one.columns)]
+        apart = [one for one in self.series if inertial & set(one.columns)]
+        if not jointed or not apart or any(one in jointed for one in apart):
+            return self.table(is_motion), averaged
+        rows, own = _complete(jointed[0])
+
+        def onto(rows: Series, one: Series, name: str) -> Floats:
+            if name in rows.columns:
+                return rows.columns[name]
+            if name not in inertial:
+                return _onto(rows, own if one is jointed[0] else one, name)
+            there = np.isfinite(one.columns[name])
+            time, values = one.time[there], one.columns[name][there]
+            if len(time) < 2 or len(rows.time) < 2:
+                return np.full(len(rows.time), np.nan)
+            return means_since(time, values, rows.time, averaged, BRIDGED * max(one.period, rows.period))
+
+        def wanted(name: str) -> bool:
+            return is_motion(name) and (name != PACKET or PACKET in own.columns)
+
+        return self._on_rows(rows, [*jointed, *apart], wanted, onto), True
+
+    def _on_rows(
+        self,
+        rows: Series,
+        parts: Iterable[Series],
+        wanted: Callable[[str], bool],
+        onto: Callable[[Series, Series, str], Floats],
+    ) -> LogTable:
+        """Return columns of topics at the times of ``rows``, onto which ``onto`` brings one of them."""
         values = {"time_s": rows.time}
         for one in parts:
             for name in filter(wanted, one.columns):
-                values[name] = _onto(rows, one, name)
+                values[name] = onto(rows, one, name)
                 if not np.isfinite(values[name]).any() and not name.startswith("raw_"):
                     raise LogError(
                         f"{self.file}: no overlap in time: {rows.reach}, and {one.reach}; their clocks "
@@ -126,6 +173,17 @@ class Bag(NamedTuple):
 def is_motion(name: str) -> bool:
     """Whether a column belongs to the table of joints and IMU."""
     return name.startswith("joint_") or name in (*ACCELEROMETER, *GYROSCOPE, PACKET)
+
+
+def _complete(one: Series) -> tuple[Series, Series]:
+    """Return the rows of a topic with those that were lost, and the topic, both at even times."""
+    packet = one.columns.get(PACKET)
+    if packet is not None and not (np.isfinite(packet).all() and (np.diff(packet) > 0).all()):
+        return one, one  # read_motion says what is wrong with it
+    number, even = even_rows(one.time, packet)
+    every = np.arange(number[-1] + 1)
+    counted = {} if packet is None else {PACKET: packet[0] + every}
+    return Series(one.topic, np.interp(every, number, even), counted), one._replace(time=even)
 
 
 def _onto(rows: Series, one: Series, name: str) -> Floats:

@@ -12,7 +12,7 @@ from surefoot.calibration.front_end.motion import FARTHEST
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.results import Finding, decide
-from surefoot.experiments.logs.clock import SLOWEST, Clock, find_gaps, read_clock, unit_of_times
+from surefoot.experiments.logs.clock import SLOWEST, Clock, find_gaps, longest_step, read_clock, unit_of_times
 from surefoot.experiments.logs.table import LogError, LogTable, join_names
 from surefoot.names import page
 
@@ -122,8 +122,9 @@ def _say_leaps(step: Floats, max_gap: float) -> str:
         return ""
     row, many = int(np.argmax(leaps)) + 1, int(leaps.sum())
     more = f"; {many} such rows in all, the longest by {step.max():.3g} s" if many > 1 else ""
+    limit = longest_step(step, max_gap)
     return (
-        f"leaps by {step[row - 1]:.3g} s at row {row} (at most {max_gap:g} s{more}); cut the log there and "
+        f"leaps by {step[row - 1]:.3g} s at row {row} (at most {limit:.3g} s{more}); cut the log there and "
         "calibrate the parts one by one, or bridge it with --split-gaps."
     )
 

@@ -13,14 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Floats
+from surefoot.calibration.front_end.readings import LONGEST_GAP
 
-MAX_GAP = 0.1  # longest time in s between two rows of one log: a calibrator's filters do not bridge more
+MAX_GAP = 0.1  # longest time in s between two rows that a page's filters bridge
+LOST_ROWS = 0.3
+"""Longest time in s between two rows of one log: links lose rows for 0.1 s and more, and in one support of
+0.3 s a foot is loaded or lifted. Calibrators start their filters again after shorter gaps, too."""
+
 SLOWEST = 1.0  # median time in s between rows of feet at or above which the unit of time must be wrong
 CLOCKS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # units of time besides seconds, in s
 
 EPOCH = 1e8  # s, three years: a larger time is one since 1970
 
-JOINED = 10.0 * MAX_GAP  # s between two sessions of one file once they are joined: a gap for every command
+JOINED = 1.0  # s between two sessions of one file once they are joined: a gap for every command
 COARSEST = 1.0  # s, the coarsest unit of loggers: a time repeated for longer is of a clock that stopped
 OVERFLOWS = (2.0**32, *(2.0**32 * unit for unit in CLOCKS.values()), 2.0**16 * CLOCKS["ms"], 86400.0, 3600.0)
 """Times in s after which clocks begin again at zero: counters of 32 bits by their unit, counters of 16 bits
@@ -93,9 +98,14 @@ def read_clock(stamps: Floats, *, spread: bool = True, rows: NDArray[np.int64] |
     return Clock(np.concatenate(list(_join(parts))), sessions, notices, row=sessions[len(back) > 0])
 
 
+def longest_step(step: Floats, max_gap: float) -> float:
+    """Return the longest step of time in s that is no gap: slow rows are farther apart than ``max_gap``."""
+    return max(max_gap, LONGEST_GAP * float(np.median(step))) if len(step) else max_gap
+
+
 def find_gaps(step: Floats, max_gap: float = MAX_GAP) -> NDArray[np.bool_]:
-    """Return which steps of time in s are longer than a log may have, of the same shape."""
-    return np.asarray(step > max_gap + 1e-6)  # seconds since 1970 are as coarse as that
+    """Return which steps of time in s are gaps, of the same shape."""
+    return np.asarray(step > longest_step(step, max_gap) + 1e-6)  # seconds since 1970 are as coarse as that
 
 
 def origin_of(time: float) -> float:

@@ -33,7 +33,7 @@ from surefoot.experiments.logs.checks import (
     clock_of,
     naming_cure,
 )
-from surefoot.experiments.logs.clock import MAX_GAP as MAX_GAP
+from surefoot.experiments.logs.clock import LOST_ROWS as LOST_ROWS
 from surefoot.experiments.logs.columns import (
     PHASES,
     columns_of,
@@ -149,7 +149,11 @@ def write_log(log: Log, path: str | Path) -> Path:
 
 
 def read_log(
-    path: str | Path, max_gap: float = MAX_GAP, topics: str | Path | None = None, *, feet_alone: bool = False
+    path: str | Path,
+    max_gap: float = LOST_ROWS,
+    topics: str | Path | None = None,
+    *,
+    feet_alone: bool = False,
 ) -> Log:
     """Read a log that does not mislead a calibrator: a ``.parquet`` file, or ``.csv`` with its ``.json``.
 
@@ -162,7 +166,7 @@ def read_log(
     not, or time leaps.
     """
     path = Path(path)
-    description, table, moved = _read_sources(path, None if topics is None else Path(topics))
+    description, table, moved, averaged = _read_sources(path, None if topics is None else Path(topics))
     facts, layout = description.facts(), description.layout
     made = description.motion is not None
     bare = not made and not has_references(table.names)
@@ -189,7 +193,7 @@ def read_log(
     if alone:
         reference, more, about = _refer_to_feet(table, raw, facts)
     elif made:
-        reference, more, about = _make_beliefs(path, table, moved or table, description, time)
+        reference, more, about = _make_beliefs(path, table, moved or table, description, time, averaged)
     else:
         reference, more, about = Reference(**fields_of(values, layout, "reference")), {}, {}
         check_reference(reference, path.name)
@@ -210,8 +214,11 @@ def read_log(
     return Log(time=time, raw=raw, reference=reference, truth=truth, **facts)
 
 
-def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTable, LogTable | None]:
-    """Read a log's description, its table, and that of the robot's motion if it has rows of its own."""
+def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTable, LogTable | None, bool]:
+    """Read a log's description, its table, and that of the robot's motion if it has rows of its own.
+
+    Return as well whether a row of the IMU is the mean since the row before.
+    """
     moved: LogTable | None = None
     if is_bag(path):
         mapping, tables = TableMapping(), list[LogTable]()
@@ -225,11 +232,11 @@ def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTabl
         tables = mapping.read_all(path, "'surefoot demo' records logs under out/demo/logs.")
         bag = merge(tables) if len(tables) > 1 else None
     told = _description(path, tables[0].data.schema.metadata if tables else None)
-    if bag is None:
-        table = tables[0]
-    else:
-        table, moved = bag.table(lambda name: not is_motion(name)), bag.table(is_motion)
+    table = tables[0] if bag is None else bag.table(lambda name: not is_motion(name))
     description = Description.read(told, f"{path.name}: the description")
+    averaged = description.motion is not None and description.motion.averaged
+    if bag is not None:
+        moved, averaged = bag.motion(averaged)
     if description.motion is not None and description.motion.table:
         beside = path.parent / description.motion.table
         moved = mapping.read_by_mapping(beside, "motion.table gives its path from the log.")
@@ -238,7 +245,7 @@ def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTabl
     if np.isnan(description.dt_s):
         table.require(["time_s"], naming_cure(table, raw_names_of(description.layout)))
         description = description.model_copy(update={"dt_s": table.step})
-    return description, table, moved
+    return description, table, moved, averaged
 
 
 def _tare_map(nominal: Parameters, raw: Floats, swing: Any, layout: FeetLayout, file: str) -> Parameters:
@@ -288,7 +295,7 @@ def _refer_to_feet(table: LogTable, raw: Floats, facts: dict[str, Any]) -> Found
 
 
 def _make_beliefs(
-    path: Path, table: LogTable, moved: LogTable, description: Description, time: Floats
+    path: Path, table: LogTable, moved: LogTable, description: Description, time: Floats, averaged: bool
 ) -> Found:
     feet, dt = description.layout.feet, description.dt_s
     if description.motion is None or len(feet) != 2:
@@ -307,7 +314,13 @@ def _make_beliefs(
     model, R_torso_imu = load_model(facts, path.name)
     motion = read_motion(moved, facts, model.joint_names).rotate(R_torso_imu)
     check_spin(motion, model, moved.file)
-    known = facts, model, description.mass_kg, description.layout, dt
+    known = (
+        facts.model_copy(update={"averaged": averaged}),
+        model,
+        description.mass_kg,
+        description.layout,
+        dt,
+    )
     reference, momentum = make_beliefs(time, motion, *known)
     if not np.isfinite(reference.com).all(axis=-1).any():
         raise LogError(

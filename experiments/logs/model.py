@@ -1,7 +1,8 @@
 """A robot's drawing, made ready for joint angles and an IMU, and references made with it.
 
 Any MJCF or URDF file with a floating body that carries the IMU, hinges and two soles (sites or bodies) will
-do. Beliefs are those of :mod:`surefoot.robot.beliefs`, packet by packet, but none is late.
+do. Beliefs are those of :mod:`surefoot.robot.beliefs`, packet by packet, but none is late; rows of a fast
+link are joined as there.
 """
 
 from math import ceil
@@ -16,6 +17,7 @@ from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.motion import Motion
 from surefoot.experiments.logs.table import LogError
 from surefoot.robot.beliefs.believed import nothing, unknown
+from surefoot.robot.beliefs.lag import packets_per_join
 from surefoot.robot.beliefs.momentum import MomentumBeliefs
 from surefoot.robot.beliefs.native import native_beliefs
 from surefoot.robot.beliefs.nominal import NominalModel
@@ -68,8 +70,8 @@ FASTER, FAST = 15.0, 0.3
 in other units: degrees are 57 times as many."""
 
 APART = 0.1  # time in s over which turning is taken
-AHEAD = 3  # rows of motion after a moment that differences and interpolation may need
-NEEDED = 2  # rows that a moment must have before and behind it
+AHEAD = 3  # joined rows of motion after a moment that differences and interpolation may need
+NEEDED = 2  # joined rows that a moment must have before and behind it
 
 
 def make_beliefs(
@@ -87,16 +89,17 @@ def make_beliefs(
     the log's mass in kg. What touches the ground are the feet's cells, or the origin of the sole.
     """
     where = TelemetryLayout(len(model.joint_names))
-    link = motion.period, 0.0, facts.averaged
-    python = MomentumBeliefs(Beliefs(model, where, *link, dt=dt, touching=touching_points(layout)))
+    link, joined = (motion.period, 0.0, facts.averaged), packets_per_join(motion.period)
+    touching = touching_points(layout)
+    python = MomentumBeliefs(Beliefs(model, where, *link, dt=dt, joined=joined, touching=touching))
     beliefs = native_beliefs(python)  # the library is ten times as fast, with the same numbers to rounding
     moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
-    known = _has_neighbours(motion, place, python.beliefs.filled)
+    known = _has_neighbours(motion, place, python.beliefs.filled, joined)
     nobody = np.zeros(2, dtype=bool)
     references, momenta = RowCollector(len(time)), RowCollector(len(time))
     fed, values = 0, np.zeros(where.size)
-    ahead = AHEAD + ceil(0.5 * dt / motion.period)
+    ahead = AHEAD * joined + ceil(0.5 * dt / motion.period)
     whole = zip(moments.tolist(), place.tolist(), known.tolist(), strict=True)
     for i, (moment, row, fine) in enumerate(whole):
         while fed < min(row + ahead, len(motion.time)):
@@ -118,9 +121,12 @@ def make_beliefs(
     )
 
 
-def _has_neighbours(motion: Motion, place: NDArray[np.intp], filled: int) -> NDArray[np.bool_]:
-    """Return which moments lie among rows between which no more rows are lost than beliefs fill in."""
-    first, last = place - NEEDED, place + NEEDED - 1
+def _has_neighbours(motion: Motion, place: NDArray[np.intp], filled: int, joined: int) -> NDArray[np.bool_]:
+    """Return which moments lie among rows between which no more rows are lost than beliefs fill in.
+
+    So many rows are ``joined`` into one.
+    """
+    first, last = place - NEEDED * joined, place + NEEDED * joined - 1
     inside = (first >= 0) & (last < len(motion.number))
     long = np.append(0, np.cumsum(np.diff(motion.number) > filled + 1))
     found: NDArray[np.bool_] = inside & (long[np.where(inside, last, 0)] == long[np.where(inside, first, 0)])

@@ -140,6 +140,37 @@ def count_rows(time: Floats, period: float) -> NDArray[np.int64]:
     return number
 
 
+def even_rows(time: Floats, packet: Floats | None = None) -> tuple[NDArray[np.int64], Floats]:
+    """Return numbers of rows and their times without chance, or as they are if their rate is not even."""
+    period = float(np.median(np.diff(time)))
+    number = count_rows(time, period) if packet is None else (packet - packet[0]).astype(np.int64)
+    if len(time) > FEWEST and (np.diff(number) > 0).all():
+        even, _ = even_times(time, number)
+        if np.quantile(np.abs(time - even), 0.9) <= 0.5 * period and (np.diff(even) > 0.0).all():
+            return number, even
+    return np.arange(len(time)), time
+
+
+def means_since(time: Floats, values: Floats, rows: Floats, averaged: bool, longest: float) -> Floats:
+    """Return the mean of a sensor since the row before at times of other rows in s, (N,); NaN where unknown.
+
+    Each of its M own values is at an instant or, if ``averaged``, the mean since the one before. The mean
+    loses nothing of a faster sensor: vibrations do not alias. Values that were lost are filled in linearly,
+    over at most ``longest`` s.
+    """
+    number, even = even_rows(time)
+    every = np.arange(number[-1] + 1)
+    times, filled = np.interp(every, number, even), np.interp(every, number, values)
+    mean = filled[1:] if averaged else 0.5 * (filled[1:] + filled[:-1])
+    integral = np.append(0.0, np.cumsum(mean * np.diff(times)))
+    edges = np.append(2.0 * rows[0] - rows[1], rows)
+    found: Floats = np.diff(np.interp(edges, times, integral, left=np.nan, right=np.nan)) / np.diff(edges)
+    gap = np.flatnonzero(np.diff(even) > longest)
+    for start, end in zip(even[gap].tolist(), even[gap + 1].tolist(), strict=True):
+        found[(edges[1:] > start) & (edges[:-1] < end)] = np.nan
+    return found
+
+
 def _check_units(values: Mapping[str, Floats], joints: Sequence[str], file: str) -> None:
     for name in joints:
         largest = float(np.abs(values[f"joint_{name}_rad"]).max())

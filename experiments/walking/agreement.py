@@ -16,7 +16,8 @@ from surefoot.calibration import Estimate, Parameters, Reference, ground_referen
 from surefoot.calibration.comparison import INDEPENDENT, SURE, Residuals, evidence_for_start
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_moments, level_moments, sole_wrenches
 from surefoot.calibration.results import Finding
-from surefoot.experiments.logs.format import MAX_GAP, Log
+from surefoot.experiments.logs.clock import find_gaps
+from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walking.claims import AIR, BLOCK, COM, COP, FORCE, MASS, claims_of, ground_rows
 from surefoot.experiments.walks.score import rms
 
@@ -177,7 +178,7 @@ def _ground(log: Log, vgrf: Floats, moment: Floats) -> Ground:
     middle = np.asarray(log.reference.position_sole)[log.lag :, :, :2].mean(axis=1)
     moment = moment - middle * vgrf[:, None]
     both = np.column_stack([vgrf, moment])
-    parts = np.split(both, np.flatnonzero(np.diff(time) > MAX_GAP) + 1)
+    parts = np.split(both, np.flatnonzero(find_gaps(np.diff(time))) + 1)
     if 0.5 / log.dt > CUTOFF:
         parts = [zero_phase(part, CUTOFF, log.dt) if len(part) > 1 else part for part in parts]
     both = np.concatenate(parts)

@@ -19,8 +19,9 @@ from surefoot.calibration import Estimate, Parameters
 from surefoot.calibration.results import Finding
 from surefoot.calibration.setup import method_name
 from surefoot.experiments.logs.checks import pass_or_refuse
+from surefoot.experiments.logs.clock import find_gaps
 from surefoot.experiments.logs.columns import channel_slugs
-from surefoot.experiments.logs.format import MAX_GAP, Log
+from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.study.progress import each, working
 from surefoot.experiments.study.tables import Table, flat
@@ -98,9 +99,10 @@ def calibrate_log(
             f"A quiet stand tells the weights of the window alone, not of '{method}'; leave out --stand."
         )
     options = foot_length_of(log, file)
-    if zero_phase and (np.diff(log.time) > MAX_GAP).any():
+    if zero_phase and find_gaps(np.diff(log.time)).any():
         raise LogError(
-            f"{file}: --zero-phase filters across the gaps that --split-gaps lets through; use one of them."
+            f"{file}: --zero-phase filters across gaps in time, which this log has; leave it "
+            "out, or cut the log there."
         )
     check_weight(log, start, initial, file)
     alone = bool(log.about.get("feet_alone"))

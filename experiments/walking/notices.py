@@ -10,8 +10,9 @@ from surefoot.calibration.cop import sole_wrenches
 from surefoot.calibration.results import Finding
 from surefoot.experiments.instrument.channels import Wrong, facts_of, find_wrong_channels
 from surefoot.experiments.instrument.recording import Recording
+from surefoot.experiments.logs.clock import MAX_GAP, find_gaps, longest_step
 from surefoot.experiments.logs.columns import raw_names_of
-from surefoot.experiments.logs.format import MAX_GAP, Log
+from surefoot.experiments.logs.format import Log
 from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.walking.agreement import ground_of_motion
 from surefoot.experiments.walking.judge import explain_pull
@@ -95,9 +96,11 @@ def find_broken(log: Log, file: str) -> Iterator[Wrong]:
 def _clock_notices(log: Log) -> Iterator[str]:
     """Yield what is lacking in the clock."""
     step = np.diff(log.time)
-    if (step > MAX_GAP).any():
+    gaps = find_gaps(step)
+    if gaps.any():
+        longest = longest_step(step, MAX_GAP)
         yield (
-            f"column 'time_s' leaps {(step > MAX_GAP).sum()} times by more than {MAX_GAP:g} s, the longest "
+            f"column 'time_s' leaps {gaps.sum()} times by more than {longest:.3g} s, the longest "
             f"by {step.max():.3g} s; after each the filters start again, and what was learnt is kept."
         )
 

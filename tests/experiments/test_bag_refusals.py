@@ -69,7 +69,7 @@ BAD_BAGS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "joints and feet that do not overlap": (
         change("# Proposed", '[offsets_s]\n"/joint_states" = 100.0\n"/imu" = 96.3\n# Proposed'),
-        "{bag}: joints and IMU reach from 99",
+        "{bag}: joints and IMU reach from 100",
     ),
     "no TOML": (change("[topics", "{topics"), "walk.topics.toml: not TOML: "),
     "no mapping file": (

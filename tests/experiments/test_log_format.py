@@ -139,7 +139,7 @@ BAD_TABLES: dict[str, tuple[Change, str]] = {
     ),
     "a gap": (
         lambda t: t.assign(time_s=t["time_s"] + 22.6 * (t.index >= 30)),
-        "column 'time_s' leaps by 22.6 s at row 30 (at most 0.1 s); cut the log there and calibrate "
+        "column 'time_s' leaps by 22.6 s at row 30 (at most 0.3 s); cut the log there and calibrate "
         "the parts one by one, or bridge it with --split-gaps.",
     ),
     "milliseconds": (

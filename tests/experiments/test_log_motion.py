@@ -7,12 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from _logs import redescribe, refusal_of, run, write_motion
+from scipy.interpolate import CubicSpline
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration import GRAVITY, Reference
 from surefoot.experiments.logs.contacts import GUESSED, guess_contacts
 from surefoot.experiments.logs.format import read_log
-from surefoot.experiments.logs.motion import count_rows
+from surefoot.experiments.logs.motion import count_rows, means_since
 from surefoot.experiments.walking.judge import judge_log
 from surefoot.experiments.walks.replay import starting_map
 
@@ -206,3 +207,43 @@ def test_a_robot_that_falls_stands_on_nothing() -> None:
     fall[:, 2] = -GRAVITY
     assert not guess_contacts(reference._replace(com_acceleration=fall), 1 / 80)[0].any()
     assert guess_contacts(reference, 1 / 80)[0].all()
+
+
+def test_rounded_angles_of_a_fast_link_do_not_drown_accelerations(recorded: Any, tmp_path: Path) -> None:
+    """At 500 rows a second and 12 bits, second differences of single rows are noise of 50 m/s^2."""
+    motion, described = recorded.motion, recorded.description
+    first, *_, last = motion["time_s"]
+    time = np.linspace(first, last, len(motion))
+    fast = np.arange(time[0], time[-1], 0.002)
+    table = pd.DataFrame({"time_s": fast})
+    for name in motion.columns[1:]:
+        made = CubicSpline(time, motion[name])(fast)
+        step = 2.0 * np.pi / 4096 if name.startswith("joint_") else 1e-3
+        table[name] = np.round(made / step) * step
+    path = write_motion(recorded.log, table, tmp_path / "walk.csv", described | {"dt_s": 0.002})
+    made, slow = (read_log(one).reference.com_acceleration[100:500] for one in (path, recorded.path))
+    assert np.sqrt(np.mean((made - slow) ** 2)) < 0.5 * np.std(slow)
+
+
+@pytest.mark.parametrize("averaged", [True, False])
+def test_an_imu_with_rows_of_its_own_is_averaged_between_those_of_the_joints(averaged: bool) -> None:
+    """A vibration at the rate of the joints does not alias, and what was lost is filled in."""
+    rng = np.random.default_rng(5)
+    fast, rows = 0.0021 + np.arange(1500) / 500.0, 0.1 + np.arange(280) / 100.0
+    slow = np.sin(3.0 * fast)
+    values = slow + 2.0 * np.cos(2.0 * np.pi * 100.0 * (fast - 0.001))
+    kept = np.sort(rng.permutation(1500)[:1470])
+    found = means_since(fast[kept], values[kept], rows, averaged, 0.025)
+    late = 0.005 + 0.001 * averaged  # the middle of the interval, and of each of the means
+    assert np.sqrt(np.mean((found - np.sin(3.0 * (rows - late))) ** 2)) < 0.15
+    picked = np.interp(rows, fast, values)
+    assert np.sqrt(np.mean((picked - np.sin(3.0 * rows)) ** 2)) > 0.8
+
+
+def test_an_imu_is_not_known_where_it_was_silent() -> None:
+    fast, rows = np.arange(1000) / 500.0, np.arange(2, 100) / 50.0
+    silent = (fast > 1.003) & (fast < 1.101)
+    found = means_since(fast[~silent], fast[~silent], rows, False, 0.05)
+    unknown = (rows > 1.003) & (rows - 0.02 < 1.101)
+    np.testing.assert_array_equal(np.isnan(found), unknown)
+    np.testing.assert_allclose(found[~unknown], rows[~unknown] - 0.01, atol=1e-6)

@@ -197,7 +197,7 @@ FEET: dict[str, tuple[Callable[[pd.DataFrame, dict[str, Any]], Any], str]] = {
     ),
     "a gap": (
         lambda table, told: table.assign(time_s=table["time_s"] + 2.0 * (table.index > 300)),
-        "column 'time_s' leaps by 2.01 s at row 301 (at most 0.1 s); cut the log there and calibrate",
+        "column 'time_s' leaps by 2.01 s at row 301 (at most 0.3 s); cut the log there and calibrate",
     ),
     "a repeated time, and a gap": (
         lambda table, told: table.assign(
