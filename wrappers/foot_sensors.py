@@ -140,7 +140,8 @@ class FootSensors(
         rest, asked = split_options(options, "sensors", "calibration")
         observation, info = self.env.reset(seed=seed, options=rest)
         dt, choice = float(self.source.dt), asked.get("sensors")
-        seen = self.robot.reset(self.source.truth, dt, seed, choice, observation)
+        gravity = np.asarray(self.source.model.opt.gravity)
+        seen = self.robot.reset(self.source.truth, dt, seed, choice, observation, gravity)
         self._clock = None
         self._drawn = self.robot.true_condition() if self.robot.differs else {}
         return seen, self._with_drawn(info)

@@ -80,9 +80,14 @@ class RobotDrawing:
         return self.gravity * float(model.body_subtreemass[model.body(self.torso).id])
 
     @functools.cached_property
+    def gravity_world(self) -> Floats:
+        """Acceleration of free fall in the robot's world in m/s^2, shape (3,)."""
+        return np.array(self.spec().option.gravity)
+
+    @functools.cached_property
     def gravity(self) -> float:
-        """Acceleration of free fall in the robot's world in m/s^2."""
-        return float(np.linalg.norm(self.spec().option.gravity))
+        """Its magnitude in m/s^2."""
+        return float(np.linalg.norm(self.gravity_world))
 
     def spec(self) -> mujoco.MjSpec:
         """Read the skeleton afresh, to perturb in memory and then ``compile()``."""

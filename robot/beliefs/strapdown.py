@@ -58,9 +58,9 @@ STILL_SPIN, STILL_SPEED, STILL_FORCE = 0.1, 0.05, 0.05
 """Largest angular velocity in rad/s, velocity of the legs in m/s, and difference of the specific force from
 gravity, as a share of it, of a robot that is at rest."""
 
-CONTRADICTION = 0.08
+CONTRADICTION = 3.0 * STILL_TILT
 """Angle in rad between the specific force and the vertical, of a robot that has been at rest for less than
-:data:`FIRST_TIME`, beyond which its first sample was wrong: what 0.8 m/s^2 of bias or acceleration make."""
+:data:`FIRST_TIME`, beyond which its first sample was wrong: three standard deviations of that sample."""
 
 TURNED = 0.3  # rad/s by which a robot that walks tilts unseen while packets are missing
 

@@ -68,6 +68,7 @@ class RobotSensors(OfOneVersion):
         seed: int | None = None,
         choice: str | None = None,
         observation: Any = None,
+        gravity: Floats | None = None,
     ) -> dict[str, Any]:
         """Start an episode, with fresh or kept sensors.
 
@@ -77,6 +78,8 @@ class RobotSensors(OfOneVersion):
             seed: Of the reset.
             choice: ``"fresh"`` or ``"keep"``, if it was asked for.
             observation: The environment's observation, where there is a view.
+            gravity: Acceleration of free fall in the world in this episode in m/s^2, shape (3,); ``None``
+                for that of the drawing.
 
         Returns:
             The observation; empty without a view.
@@ -90,7 +93,8 @@ class RobotSensors(OfOneVersion):
         self.clock[0] = 0.0
         hardware = self._choose(truth, self._renew(self.sensors_fresh))
         # At the reset a robot hangs just above its footprints; packets before are of one that stood.
-        at_rest = np.concatenate([self.equipment.drawing.gravity * truth.R_world_torso[-1][2], np.zeros(3)])
+        fall = self.equipment.drawing.gravity_world if gravity is None else gravity
+        at_rest = np.concatenate([-fall @ truth.R_world_torso[-1], np.zeros(3)])
         draws = hardware is not None and hardware.telemetry is None
         self._raw, seen = self.backend.begin(truth, at_rest, draws, observation)
         return seen

@@ -257,6 +257,25 @@ def test_changes_by_a_script_that_kept_the_model_count(tmp_path: Path) -> None:
         np.testing.assert_array_equal(env.unwrapped.data.qpos, bare.data.qpos)
 
 
+def packets_of_a_start(env: FootSensors) -> np.ndarray:
+    """Return the accelerometer of the packets that were sent before a reset."""
+    env.reset(seed=1)
+    return np.array([packet.values[env.robot.telemetry.layout.accelerometer] for packet in env.packets])
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (-1.2, 0.6, -9.7), (0.3, 0.4, -3.0)])
+def test_packets_before_a_reset_are_of_a_robot_at_rest(tmp_path: Path, gravity: tuple[float, ...]) -> None:
+    """Their specific force points against the gravity of the episode, which a script may have tilted."""
+    base = Own(written(tmp_path, biped()))
+    env = FootSensors(base, "perfect")
+    env.listen()
+    base.model.opt.gravity[:] = gravity
+    measured = packets_of_a_start(env)
+    assert len(measured) > 1
+    up = env.source.truth.R_world_torso[-1].T @ np.negative(gravity)
+    np.testing.assert_allclose(measured.mean(axis=0), up, atol=0.1)
+
+
 KEPT: list[Any] = []
 
 
