@@ -61,7 +61,10 @@ WEIGHT = 0.25
 
 HINT = 1e2  # odds from which undoing a mistake tells where in a log it begins
 SOUND = 2.0  # scale of residuals, in that of a sound log, above which a part of a log contradicts itself
-ALARM = 1e-4  # share of sound logs with residuals so large that they are refused, whatever the cause
+ALARM = 0.01
+"""Share of sound logs whose residuals are as large as those from which on a log that contradicts itself is
+refused, whatever the cause and however sure it is. The start is then better than what is learnt."""
+
 BROKEN, NOISE = "broken", "noise"
 """Kinds of troubles that calibrators cope with."""
 
@@ -246,8 +249,6 @@ def _decide(claims: Claims, plain: Fit, diagnosis: Diagnosis) -> list[Finding]:
         reason, refuses = f"{symptom} {diagnosis.sentence()}", absurd or diagnosis.is_certain
         found = likely.mistake.kind, reason, diagnosis.cure, likely.probability, other
         return [Finding(*found, refuses=refuses, contradicts=True)]
-    parts = [fit for one in parts_of(claims) if (fit := fit_claims(one)).rows]
-    absurd = absurd and all(fit.worst > SOUND for fit in parts)
     reason = f"{symptom} None of the mistakes that were tried explains it."
     cure = "Check which column is which, units, signs, clocks and the description, one by one."
     return [Finding("contradiction", reason, cure, plain.size, EXPERIENCE.size, refuses=absurd)]

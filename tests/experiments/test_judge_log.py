@@ -127,6 +127,16 @@ def test_a_log_that_nothing_mends_is_refused_with_its_figures(bad_start: Log) ->
     assert first.value > first.limit
 
 
+def test_a_contradiction_without_a_sure_cause_is_refused(bad_start: Log) -> None:
+    """Rows of half a log are out of order: a part fits itself, and no mistake explains the whole."""
+    rows = np.arange(len(bad_start))
+    rows[len(rows) // 2 :] = np.random.default_rng(7).permutation(rows[len(rows) // 2 :])
+    refused = [
+        one for one in judge(dataclasses.replace(bad_start, raw=bad_start.raw[rows])).findings if one.refuses
+    ]
+    assert [one.name for one in refused] == ["contradiction"]
+
+
 def spoil(spoilt: ModuleType, log: Log, name: str) -> Log:
     changed: Log = spoilt.SPOILERS[name][1](log, np.random.default_rng(1))
     return changed
