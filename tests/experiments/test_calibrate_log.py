@@ -14,6 +14,7 @@ from _logs import fails, refusal_of, run
 from surefoot.calibration import GRAVITY, Estimate, FootCalibrator, FootLayout, Parameters, replay
 from surefoot.calibration.layout import FeetLayout
 from surefoot.experiments.cli.calibrate import walk
+from surefoot.experiments.logs.clock import find_gaps
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.walking import calibrate as module
 from surefoot.experiments.walking import page
@@ -326,6 +327,15 @@ def test_a_page_tells_what_went_in(
     estimate = replay(log.layout, "none", log.raw, log.reference, mass=log.mass, initial=log.nominal)
     introduction = page.write_walking_page(Path(), Facts(log, "nominal", log.nominal, estimate))[3]
     assert introduction.startswith(f"Raw readings and {known} went in; ")
+
+
+@pytest.mark.parametrize(("gap", "slower"), [(0.2, 1.0), (0.0, 8.0)])
+def test_lost_rows_and_slow_chips_need_no_option(log: Log, tmp_path: Path, gap: float, slower: float) -> None:
+    """Rows at 10 a second are all farther apart than 0.1 s."""
+    time = slower * log.time + gap * (np.arange(len(log)) >= 30) + 5e-4 * (np.arange(len(log)) % 2)
+    path = write_log(dataclasses.replace(log, time=time, dt=slower * log.dt), tmp_path / "walk.csv")
+    read = read_log(path)
+    assert find_gaps(np.diff(read.time)).sum() == (gap > 0.0)
 
 
 def test_gaps_are_bridged_on_request(log: Log, tmp_path: Path, no_page: None) -> None:

@@ -11,9 +11,10 @@ from scipy.interpolate import CubicSpline
 
 import surefoot  # noqa: F401  (registers the environments)
 from surefoot.calibration import GRAVITY, Reference
+from surefoot.experiments.logs.bag import Bag, Series
 from surefoot.experiments.logs.contacts import GUESSED, guess_contacts
 from surefoot.experiments.logs.format import read_log
-from surefoot.experiments.logs.motion import count_rows, means_since
+from surefoot.experiments.logs.motion import ACCELEROMETER, GYROSCOPE, count_rows, means_since
 from surefoot.experiments.walking.judge import judge_log
 from surefoot.experiments.walks.replay import starting_map
 
@@ -247,3 +248,17 @@ def test_an_imu_is_not_known_where_it_was_silent() -> None:
     unknown = (rows > 1.003) & (rows - 0.02 < 1.101)
     np.testing.assert_array_equal(np.isnan(found), unknown)
     np.testing.assert_allclose(found[~unknown], rows[~unknown] - 0.01, atol=1e-6)
+
+
+def test_a_lost_row_of_joints_costs_none_of_the_imu() -> None:
+    fast, slow = np.arange(0.0, 3.0, 0.005), np.arange(0.1, 2.9, 0.01)
+    kept = ~np.isin(np.arange(len(slow)), (40, 75, 120, 166, 230))
+    imu = Series("imu.csv", fast, {name: np.sin(4.0 * fast) for name in (*ACCELEROMETER, *GYROSCOPE)})
+    joints = Series("joints.csv", slow[kept], {"joint_knee_rad": np.cos(slow[kept])})
+    table, averaged = Bag("feet.csv", (joints, imu), ()).motion(averaged=False)
+    time = table.numbers("time_s")
+    assert averaged
+    assert len(time) == len(slow)
+    felt = table.numbers(GYROSCOPE[1])
+    np.testing.assert_allclose(felt, np.sin(4.0 * (time - 0.005)), atol=2e-3)
+    np.testing.assert_allclose(table.numbers("joint_knee_rad"), np.cos(time), atol=2e-3)
