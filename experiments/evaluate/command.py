@@ -82,14 +82,14 @@ class Wanted:
     def _options(self) -> dict[str, Any]:
         seeds = self.seeds
         if isinstance(seeds, int) and not isinstance(seeds, bool):
-            seeds = list(range(self.first_seed, self.first_seed + seeds))
+            seeds = range(self.first_seed, self.first_seed + seeds)
         observe = self.observe
         if isinstance(observe, list) and len(observe) == 1 and ":" in observe[0]:
             observe = observe[0]
         return {
             "feeds": tuple(self.feeds),
             "severities": tuple(map(float, self.severities)),
-            "seeds": tuple(seeds),
+            "seeds": tuple(seeds) if isinstance(seeds, list | range) else seeds,
             "faults": _faults(self.faults),
             "cells": self.cells,
             "sensors": {**self.sensors, **({"soles": True} if self.soles else {})},

@@ -280,6 +280,8 @@ def _identity(policy: Any, env_id: str) -> str:
 
 def _seeds(seeds: int | Sequence[int], policy: Any) -> tuple[int, ...]:
     """Return the seeds; ValueError at those that a training has used."""
+    if isinstance(seeds, bool | float | str):
+        raise ValueError(f"'seeds' must be a whole number of seeds or a list of seeds, got {seeds!r}.")
     if isinstance(seeds, int | np.integer):
         seeds = range(FIRST_SEED, FIRST_SEED + seeds)
     if not len(seeds):

@@ -358,3 +358,7 @@ def test_a_torso_without_mass_is_pushed_and_takes_no_payload():
 def test_seeds_may_be_an_array():
     plan = Plan.of(_biped.make, _biped.swing, seeds=np.arange(3), feeds=("true",))
     assert [one.seed for one in plan.episodes] == [0, 1, 2]
+    with pytest.raises(
+        ValueError, match="'seeds' must be a whole number of seeds or a list of seeds, got True"
+    ):
+        Plan.of(_biped.make, _biped.swing, seeds=True)
