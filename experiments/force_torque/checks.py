@@ -1,4 +1,4 @@
-"""Checks of a log: input that would mislead a fit is refused with a cure; the rest is left out, and noted."""
+"""Checks of a log: misleading input is refused with a cure; other flawed samples are left out and noted."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -13,17 +13,17 @@ from surefoot.experiments.force_torque.table import Samples
 from surefoot.experiments.logs.clock import read_clock
 from surefoot.experiments.logs.table import LogError
 
-FEWEST = 8  # samples without which a set is no set: an affine map of gravity has four unknowns a channel
-MANY = 0.01  # share of readings at the end of its range from which a channel is saturated
-MOSTLY = 0.5  # share of missing readings from which a channel counts as dead
-RAILS = (-32768.0, 32767.0, 65535.0, -8388608.0, 8388607.0)  # converters end here
-GAP = 3.0  # times the usual step from which two rows have a gap between them
-POSES = 0.1  # share of gaps from which rows are poses held one by one, which have no rate
-SLOWEST_GYROSCOPE = 0.5  # time in s between two rows from which a gyroscope cannot be followed
-TURNED = 0.5  # time in s over which both sides of dg/dt = -w x g are summed
+FEWEST = 8  # least number of samples of a set: an affine map of gravity has four unknowns for each channel
+MANY = 0.01  # share of readings at an end of the range above which a channel counts as saturated
+MOSTLY = 0.5  # share of missing readings above which a column is refused
+RAILS = (-32768.0, 32767.0, 65535.0, -8388608.0, 8388607.0)  # ends of converters of 16 and 24 bits
+GAP = 3.0  # multiple of the usual step above which there is a gap between two rows
+POSES = 0.1  # share of gaps above which rows are single poses, which have no rate
+SLOWEST_GYROSCOPE = 0.5  # time in s between two rows above which a gyroscope cannot be integrated
+TURNED = 0.5  # time in s over which both sides of dg/dt = -w x g are integrated
 TURNS = 0.5  # m/s^2 by which gravity must change within that time to show how it turns
-FLAT = 1e-3  # share of the largest singular value below which an arm does not show
-CLEAR = 0.5  # correlation from which two signals have a common sign
+FLAT = 1e-3  # share of the largest singular value below which an arm is not observable
+CLEAR = 0.5  # correlation above which two signals have a common sign
 LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
 
 _LOOKS = {
@@ -38,7 +38,7 @@ _LOOKS = {
 
 
 def check_samples(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
-    """Keep the samples that a fit can use and note the others; LogError at values that mislead."""
+    """Return the samples that a fit can use, and note the others; LogError if values are misleading."""
     samples = _check_times(_check_values(samples, notices), notices)
     samples = _check_channels(samples, range_count, notices)
     _check_acceleration(samples)
@@ -47,7 +47,7 @@ def check_samples(samples: Samples, range_count: tuple[float, float] | None, not
 
 
 def _check_values(samples: Samples, notices: list[str]) -> Samples:
-    """Return the rows with gravity, rotation, temperature and time; a missing reading stays NaN."""
+    """Return the rows in which all but the readings are known; a missing reading stays NaN."""
     columns = samples.columns
     keep = np.ones(len(samples.rows), dtype=bool)
     for names, values in (
@@ -80,7 +80,7 @@ def _check_values(samples: Samples, notices: list[str]) -> Samples:
 
 
 def _check_times(samples: Samples, notices: list[str]) -> Samples:
-    """Return the samples on one clock, without repeated rows; refuse times in disorder or other units."""
+    """Return the samples with increasing times and without repeated rows; LogError if that is impossible."""
     time = samples.time
     if time is None:
         return samples
@@ -118,7 +118,7 @@ def contiguous(time: Floats) -> list[slice]:
 
 
 def _check_channels(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
-    """Return the samples without readings that only graze the end of the range."""
+    """Return the samples without the few readings at an end of the range."""
     raw = samples.raw.copy()
     low, high = range_count or (-np.inf, np.inf)
     for name, column in zip(samples.channels, raw.T, strict=True):
@@ -162,7 +162,7 @@ def _enough(samples: Samples) -> Samples:
 def _same_as_before(samples: Samples) -> NDArray[np.bool_]:
     parts = (samples.raw, samples.acceleration, samples.angular_velocity, samples.temperature)
     values = np.column_stack([part for part in parts if part is not None])
-    # A missing reading is the same as another one.
+    # Two missing readings count as equal.
     values = np.nan_to_num(values, nan=np.inf)
     return np.concatenate([[False], (values[1:] == values[:-1]).all(axis=1)])
 
@@ -171,7 +171,7 @@ def _check_acceleration(samples: Samples) -> None:
     """Raise LogError if accelerations cannot be in the unit that was given."""
     size = np.linalg.norm(np.clip(samples.acceleration, -LARGEST, LARGEST), axis=1)
     felt = float(np.median(size))
-    # A limb that swings feels more; units are factors of 9.8 apart.
+    # The acceleration of a swinging limb differs more from gravity; units differ by a factor of 9.8 or more.
     wide = 0.5 if samples.angular_velocity is not None else 0.2
     if 1.0 - wide < felt / GRAVITY < 1.0 + wide:
         return
@@ -184,11 +184,11 @@ def _check_acceleration(samples: Samples) -> None:
 
 
 def _check_spin(samples: Samples) -> None:
-    """Raise LogError if a gyroscope is in other units or of other signs: gravity must turn as it says.
+    """Raise LogError if a gyroscope has other units or signs than gravity's turning requires.
 
-    Seen from the limb gravity turns by dg/dt = -w x g. The slope of its change on the integral of the right
-    side is one where units and signs agree. An IMU that swings at an arm p feels K p
-    more, which is beside it.
+    In the frame of the limb gravity turns by dg/dt = -w x g. If units and signs agree, the regression of its
+    change on the integral of the right side has the slope 1. An IMU at an arm p from the axis measures an
+    additional acceleration K p, which is fitted as well.
     """
     spin, time = samples.angular_velocity, samples.time
     if spin is None or time is None:
