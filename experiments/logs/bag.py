@@ -144,10 +144,10 @@ class Bag(NamedTuple):
                 return np.full(len(rows.time), np.nan)
             return means_since(time, values, rows.time, averaged, BRIDGED * max(one.period, rows.period))
 
-        def wanted(name: str) -> bool:
+        def is_known(name: str) -> bool:
             return is_motion(name) and (name != PACKET or PACKET in own.columns)
 
-        return self._on_rows(rows, [*jointed, *apart], wanted, onto), True
+        return self._on_rows(rows, [*jointed, *apart], is_known, onto), True
 
     def _on_rows(
         self,

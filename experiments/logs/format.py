@@ -172,10 +172,8 @@ def read_log(
     bare = not made and not has_references(table.names)
     alone = feet_alone and bare
     counts = ["time_s", *raw_names_of(layout)]
-    names = counts if alone or made else names_of(layout)
-    kinds = ["truth"] if bare or made else ["truth", "momentum"]
-    kinds = [kind for kind in kinds if any(name.startswith(f"{kind}_") for name in table.names)]
-    names = [*names, *(name for kind in kinds for name in part_names(layout, kind))]
+    kinds = _kinds_in(table, ["truth"] if bare or made else ["truth", "momentum"])
+    names = [*(counts if alone or made else names_of(layout)), *_names_of_kinds(layout, kinds)]
     values = check_columns(table, names, ALONE if bare else "")
     clock = clock_of(values["time_s"], path.name, joined=bool(np.isinf(max_gap)))
     time, found = clock.time, tuple(f"{path.name}: column 'time_s' {text}." for text in clock.notices)
@@ -204,14 +202,21 @@ def read_log(
     curved = {"curves": curves.as_plain()} if curves.any else {}
     facts |= {**more, "about": facts["about"] | curved | about}
     if unread:
-        late, swing = facts["lag"], np.asarray(reference.swing)
-        facts["nominal"] = _tare_map(
-            facts["nominal"], raw[: len(raw) - late], swing[late:], layout, path.name
-        )
+        swing = np.asarray(reference.swing)[facts["lag"] :]
+        facts["nominal"] = _tare_map(facts["nominal"], raw[: len(swing)], swing, layout, path.name)
     truth = LogTruth(**fields_of(values, layout, "truth")) if "truth" in kinds else None
     del table, moved, values
     pa.default_memory_pool().release_unused()  # as large as the log, and of no use to NumPy
     return Log(time=time, raw=raw, reference=reference, truth=truth, **facts)
+
+
+def _kinds_in(table: LogTable, kinds: list[str]) -> list[str]:
+    """Return the kinds of columns, by the beginning of their names, that a table has."""
+    return [kind for kind in kinds if any(name.startswith(f"{kind}_") for name in table.names)]
+
+
+def _names_of_kinds(layout: FeetLayout, kinds: list[str]) -> list[str]:
+    return [name for kind in kinds for name in part_names(layout, kind)]
 
 
 def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTable, LogTable | None, bool]:

@@ -152,7 +152,7 @@ def _block_means(rows: Floats, dt: float) -> Floats:
     """Return means over blocks, shape (n, C); NaN where a sample is missing."""
     size = max(round(BLOCK / dt), 1)
     count = len(rows) // size
-    means: Floats = rows[: count * size].reshape(count, size, -1).mean(axis=1)
+    means: Floats = rows[: count * size].reshape(count, size, rows.shape[1]).mean(axis=1)
     return means
 
 
