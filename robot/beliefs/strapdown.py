@@ -60,9 +60,10 @@ STILL_SPIN, STILL_SPEED, STILL_FORCE = 0.1, 0.05, 0.05
 """Largest angular velocity in rad/s, velocity of the legs in m/s, and difference of the specific force from
 gravity, as a share of it, of a robot that is at rest."""
 
-CONTRADICTION = 3.0 * STILL_TILT
+CONTRADICTION = 5.0 * STILL_TILT
 """Angle in rad between the specific force and the vertical, of a robot that has been at rest for less than
-:data:`FIRST_TIME`, beyond which its first sample was wrong: three standard deviations of that sample."""
+:data:`FIRST_TIME`, beyond which its first sample was wrong: five standard deviations of that sample. A robot
+that sways seems to be at rest where it turns round, while it accelerates by up to 1 m/s^2 (0.1 rad)."""
 
 TURNED = 0.3  # rad/s by which a robot that walks tilts unseen while packets are missing
 
