@@ -1,4 +1,4 @@
-"""``surefoot view``: a robot in the browser, in a window, on film, or its feet alone."""
+"""``surefoot view``: show a robot in the browser, in a window or in a video, or draw its feet."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 from surefoot.experiments.cli.console import Feeds, fail
 
-_PAGE_FEEDS = {"true": "true", "none": "raw"}  # what the page calls them; all others are calibrators
+_PAGE_FEEDS = {"true": "true", "none": "raw"}  # names of feeds on the page (all others are calibrators)
 LOOPBACK = "127.0.0.1"
 
 
@@ -91,7 +91,7 @@ def _show_page(make: Callable[[Any], Any], name: str | None, more: str, host: st
         server = open_server(host, port, f"surefoot: {name}" if name else "surefoot")
     except OSError as error:
         fail(str(error))
-    # A browser loads the page while the robot gets ready.
+    # The browser can load the page while the robot is being prepared.
     typer.echo(f"Page: {address_of(server)} (Ctrl+C ends it{more})")
     try:
         with working("making ready"):
@@ -105,7 +105,7 @@ def _show_page(make: Callable[[Any], Any], name: str | None, more: str, host: st
 
 @contextmanager
 def _refuse() -> Iterator[None]:
-    """End with one line if an environment, a log or a choice cannot be shown."""
+    """Exit with a one-line message if an environment, a log or an option is invalid."""
     import gymnasium as gym
 
     try:
@@ -121,7 +121,7 @@ def _live_page(server: Any, env: str | None, feed: str, options: dict[str, Any],
     with _refuse():
         options["start"] |= _choose(feed)
         session = Session(env or WALK, **options)
-        with server.atomic():  # A browser that waits draws it once, and not part by part.
+        with server.atomic():  # draw the complete page at once in a browser that is already connected
             return Page(server, session, folder=folder)
 
 
@@ -143,7 +143,10 @@ def _stream_page(server: Any, description: Path, feed: str, address: tuple[str, 
 
 
 def _choose(feed: str) -> dict[str, str]:
-    """Return which feed and which calibrator a name stands for on the page; ValueError if it has none."""
+    """Return the page's feed and calibrator for a name.
+
+    Raises ValueError if the page does not support it.
+    """
     from surefoot.experiments.walks.walkers import check_feed
     from surefoot.names import plain_name
 
@@ -174,7 +177,7 @@ def _walk(video: Path | None, feeds: list[str], **options: Any) -> None:
 
 
 def _show_feet(name: str, feet: list[str] | None, soles: bool, image: Path) -> None:
-    """Tell which bodies are a robot's feet, and draw them."""
+    """Print the bodies that are used as feet, and draw them."""
     from surefoot.experiments.walks.video import prepare_rendering
 
     prepare_rendering()

@@ -1,4 +1,4 @@
-"""Check any log without calibrating: its contents, its flaws, and the measurement that would settle each."""
+"""Check a log of any kind without calibrating: its contents, its flaws, and a measurement to resolve each."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -41,13 +41,13 @@ from surefoot.experiments.walks.replay import foot_length_of, replay_log, starti
 from surefoot.experiments.weights.calibrate import fit_cells, read_weighings
 from surefoot.experiments.weights.judge import Weighings, judge_weighings
 
-PARTS = 6  # of a log, each of which is judged to say since when it contradicts itself
-ONSET = 0.2  # s to which the moment is told: two blocks of a fit
+PARTS = 6  # parts of a log that are judged separately, to find the time at which a mistake began
+ONSET = 0.2  # resolution in s of the reported onset (two blocks of a fit)
 
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """A log, its channels, and its flaws, those that refuse it first."""
+    """A log, the facts of its channels, and its flaws, with refusing ones first."""
 
     recording: Recording
     facts: list[ChannelFacts]
@@ -55,17 +55,20 @@ class Checked:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing is wrong: no command would refuse the log, and no channel is broken."""
+        """Whether every command accepts the log and all channels work."""
         return not any(one.finding.refuses for one in self.wrong)
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """The flaws, and the channels."""
+        """Tables of the flaws and of the channels."""
         return (wrong_table(self), channel_table(self))
 
 
 def check_log(path: Path, topics: Path | None = None) -> Checked:
-    """Check a log; LogError if it cannot be read at all."""
+    """Check a log of any kind, and return the facts of its channels and its flaws.
+
+    Raises LogError if the file cannot be read.
+    """
     with working("reading the log") as then:
         recording = read_recording(path, topics)
         then("looking at the channels")
@@ -73,18 +76,18 @@ def check_log(path: Path, topics: Path | None = None) -> Checked:
         then("judging the log")
         channels, judged = list(find_wrong(recording, facts)), list(_judge(recording, path))
         if any(one.finding.refuses for one in channels):
-            # A channel that is wrong by itself explains why it does not go with the others.
+            # A flaw of the channel itself also explains its disagreement with the others.
             judged = [one for one in judged if one.finding.name != BROKEN]
         wrong = [*judged, *channels]
     return Checked(recording, facts, tuple(sorted(wrong, key=lambda one: not one.finding.refuses)))
 
 
 def _judge(recording: Recording, path: Path) -> Iterator[Wrong]:
-    """Yield the findings of the judge of the log's own command."""
+    """Yield the findings of the command that reads this kind of log."""
     read = recording.read
     if recording.refusal:
         reason = recording.refusal.removeprefix(f"{recording.file}: ")
-        # A refusal of another file begins with that file's name.
+        # A refusal about another file starts with the name of that file.
         yield Wrong(Finding("unreadable", reason if reason == recording.refusal else sentence(reason)))
     elif recording.kind == "weighings":
         yield from _judge_weighings(read_weighings(path))
@@ -122,7 +125,7 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
         return
     verdict = judge_log(log, initial)
     row, size = _first_bad(log, initial, verdict), (len(log) - log.lag) // PARTS
-    # A mistake that began during the log is clearer after it, which may be in the middle of a part.
+    # A mistake is clearer in the rows after its onset. It may be inside a part, so try without that part too.
     rest = (replace(log.cut(slice(start, None)), truth=None) for start in (row, row + size) if row)
     late = [judge_log(part, initial) for part in rest]
     named = (one for one in (*late, verdict) if one.findings and one.findings[0].contradicts)
@@ -139,23 +142,26 @@ def _judge_walk(recording: Recording, log: Log) -> Iterator[Wrong]:
 
 
 def _onset(claims: Claims, mistake: Mistake, row: int, size: int) -> int:
-    """Return the row near the start of a part from which undoing a mistake improves the log most."""
+    """Return the onset of a mistake: undoing it in all rows after the onset gives the best fit.
+
+    The search runs from one part before ``row`` to two parts after it. A part has ``size`` rows.
+    """
     undone = mistake.undo(claims)
     if undone.initial is not claims.initial or undone.wrench_map is not claims.wrench_map:
-        return row  # the mistake is not in the rows of the log
+        return row  # a mistake in the maps applies to the whole log
     rows = np.arange(max(row - size, 1), row + 2 * size, max(round(ONSET / claims.dt), 1))
     return int(rows[np.argmax([fit_claims(_mix_row(claims, undone, one)).evidence for one in rows.tolist()])])
 
 
 def _mix_row(claims: Claims, undone: Claims, row: int) -> Claims:
-    """Return claims whose rows from ``row`` on are replaced by those of other claims."""
+    """Return claims with ``row`` and all later rows replaced by those of ``undone``."""
     pairs = zip(claims.reference, undone.reference, strict=True)
     reference = Reference(*(np.concatenate([np.asarray(a)[:row], np.asarray(b)[row:]]) for a, b in pairs))
     return replace(claims, raw=np.concatenate([claims.raw[:row], undone.raw[row:]]), reference=reference)
 
 
 def _first_bad(log: Log, initial: Parameters, verdict: Judgement) -> int:
-    """Return the first row of the part in which a log begins to contradict itself; 0 for the whole log."""
+    """Return the first row of the first part that contradicts itself, or 0 if the whole log does."""
     if not verdict.findings:
         return 0
     claims = claims_of(log, initial, length_of(log))
@@ -163,7 +169,7 @@ def _first_bad(log: Log, initial: Parameters, verdict: Judgement) -> int:
     bad = [fit.rows > 0 and fit.worst > SOUND for fit in fits]
     mended = [one for one in verdict.causes if one.mistake.kind == verdict.findings[0].name]
     if mended:
-        # A part that fits as well with the mistake undone, as standing mostly does, is not evidence of it.
+        # A part is evidence of the mistake only if undoing it improves the fit. Standing rarely shows this.
         undone = [fit_claims(part).evidence for part in parts_of(mended[0].mistake.undo(claims), PARTS)]
         bad = [fit.evidence < other + np.log(HINT) for fit, other in zip(fits, undone, strict=True)]
     first = bad.index(True) if True in bad else 0
@@ -183,7 +189,7 @@ def _judge_sets(log: InSituLog) -> Iterator[Wrong]:
 
 
 def wrong_table(checked: Checked) -> Table:
-    """Table of findings about a log."""
+    """Table of all findings about a log."""
     rows = tuple(
         (
             Verdict.of(not one.finding.refuses, "wrong" if one.finding.refuses else "note"),
@@ -201,7 +207,7 @@ def wrong_table(checked: Checked) -> Table:
 
 
 def channel_table(checked: Checked) -> Table:
-    """Table of the channels' facts."""
+    """Table of the facts of each channel."""
     recording = checked.recording
     unit = "counts" if recording.scale is None else "N"
     rows = []
@@ -232,7 +238,7 @@ def channel_table(checked: Checked) -> Table:
 
 
 def words_of(checked: Checked) -> str:
-    """Findings as lines of text."""
+    """Findings as lines of text, with a verdict at the end."""
     lines = []
     for one in checked.wrong:
         kind = "Wrong" if one.finding.refuses else "Note"
@@ -263,7 +269,7 @@ def facts_table(one: Recording) -> Table:
             near = steps[np.abs(steps - step) < 0.5 * step]
             jitter = float(near.std())
             if jitter < np.spacing(np.abs(one.time).max()):
-                jitter = 0.0  # the numbers of the clock are no finer
+                jitter = 0.0  # below the resolution of the times
             rows.append(("rows", f"{1.0 / step:.4g} a second, jitter {1e3 * jitter:.2g} ms"))
     if isinstance(one.read, Log):
         rows.append(("mass", f"{one.read.mass:.4g} kg"))

@@ -1,11 +1,12 @@
-r"""A channel at rest: its conversions, its noise and its drift.
+r"""Conversions, noise and drift of a channel at rest.
 
-The Allan deviation over :math:`m` conversions of length :math:`\tau_0` (IEEE 952),
+The Allan variance compares successive means :math:`\bar y_k` over :math:`m` conversions of length
+:math:`\tau_0` (IEEE 952):
 
 .. math:: \sigma^2(m \tau_0) = \tfrac12 \langle (\bar y_{k+1} - \bar y_k)^2 \rangle,
 
-of means over m conversions, falls as :math:`\sigma_n / \sqrt m` for white noise and rises as
-:math:`q \sqrt{\tau / 3}` for a random walk of density q per square root of a second.
+Its square root, the Allan deviation, falls as :math:`\sigma_n / \sqrt m` for white noise. For a random walk
+of density q per square root of a second, it rises as :math:`q \sqrt{\tau / 3}`.
 """
 
 from collections.abc import Sequence
@@ -18,17 +19,17 @@ from scipy.optimize import nnls
 from surefoot.arrays import Floats
 from surefoot.experiments.logs.clock import MAX_GAP
 
-FEWEST = 16  # samples of a stretch at rest: shorter ones show no more than their own slope
-BLOCK = 0.5  # s in which a channel rests or does not
-QUIET = 3.0  # spread of a block in that of the quietest ones up to which a channel rests in it
-WHITE = 0.3  # least ratio of von Neumann of a block at rest: white noise has 1, a slope 0
-ROUNDING = 1.0 / 12.0  # variance of rounding in steps squared
-SLOWER = 0.02  # share of repeated rows from which a chip may be slower than the rows
-BY_CHANCE = 8.0  # variance, by chance, of the number of conversions in as many rows as are counted together
-REGULAR = 0.25  # share of it below which a clock makes the repeats: a clock's is below 1
+FEWEST = 16  # minimum number of samples per stretch at rest (shorter ones mainly show their own slope)
+BLOCK = 0.5  # length in s of the blocks that are classified as rest or motion
+QUIET = 3.0  # maximum std of a block at rest, relative to the quietest blocks
+WHITE = 0.3  # minimum von Neumann ratio of a block at rest: 1 for white noise, 0 for a slope
+ROUNDING = 1.0 / 12.0  # variance of the rounding error in steps squared
+SLOWER = 0.02  # share of repeated rows above which the chip may be slower than the rows
+BY_CHANCE = 8.0  # variance of the number of conversions per window if repeats are random (sets its length)
+REGULAR = 0.25  # share of BY_CHANCE below which repeats are due to a clock, whose variance is below 1
 NORMAL = 0.6745  # median of |z| for z ~ N(0, 1)
 ONE_SQUARED = 0.455  # median of chi squared with one degree of freedom
-LEAP = 4.0  # usual times between two rows from which on the clock leaps, if it is longer than a log's gap
+LEAP = 4.0  # minimum ratio of a gap in time to the usual step (a gap must also be longer than MAX_GAP)
 
 
 class Stretch(NamedTuple):
@@ -39,35 +40,35 @@ class Stretch(NamedTuple):
 
 
 class Allan(NamedTuple):
-    """Allan deviations of a channel."""
+    """Allan deviations of a channel at T averaging times."""
 
     tau: Floats  # in s, shape (T,)
     deviation: Floats  # in counts, shape (T,)
-    pairs: Floats  # independent differences behind each, shape (T,)
+    pairs: Floats  # number of independent differences in each deviation, shape (T,)
 
 
 class Noise(NamedTuple):
-    """White noise and random walk of a channel."""
+    """White noise and random walk of a channel at rest."""
 
-    white: float  # std of one conversion in counts, without its rounding
+    white: float  # std of one conversion in counts, including its rounding
     walk: float  # density of the random walk in counts per sqrt(s)
-    interval: float  # s between conversions
+    interval: float  # mean time between conversions in s
 
 
 class Conversions(NamedTuple):
-    """The rows of a channel in which a conversion was read."""
+    """Rows of a channel that contain a new conversion."""
 
     rows: NDArray[np.intp]
-    repeats: float  # share of rows that repeat the one before
-    slower: bool  # whether the chip's own clock makes them: it is slower than the rows
+    repeats: float  # share of rows that repeat the previous row
+    slower: bool  # whether the repeats come from a chip that converts more slowly than rows are written
 
 
 def conversions(raw: Floats) -> Conversions:
-    """Find the rows in which a new conversion was read.
+    """Find the rows that contain a new conversion.
 
-    A slow chip repeats its readings at the rate of its own clock, so that the number of its conversions in a
-    given number of rows varies by one or two only. A channel whose noise is as small as its steps repeats
-    readings by chance: this number then has a binomial variance, and every row is a conversion.
+    A slow chip converts at the rate of its own clock, so the number of its conversions per window of rows
+    varies by only one or two. If the noise of a channel is as small as its steps, readings repeat by chance.
+    The number of changes per window then has a binomial variance, and every row is a conversion.
     """
     there = np.flatnonzero(np.isfinite(raw))
     fresh = np.concatenate([[True], np.diff(raw[there]) != 0.0])[: len(there)]
@@ -78,14 +79,14 @@ def conversions(raw: Floats) -> Conversions:
     if windows < FEWEST // 2:
         return Conversions(there, repeats, False)
     counts = fresh[: windows * rows].reshape(windows, rows).sum(axis=1)
-    # The median of windows leaves out those in which the load moves every reading, or rows were lost.
+    # The median ignores windows with lost rows, or with a moving load that changes every reading.
     variance = 0.5 * float(np.median(np.diff(counts) ** 2)) / ONE_SQUARED
     slower = variance < REGULAR * BY_CHANCE
     return Conversions(there[fresh] if slower else there, repeats, slower)
 
 
 def step_of(raw: Floats) -> float:
-    """Return the smallest step between two readings: the unit of the converter, or of another rounding."""
+    """Return the smallest difference between readings, the step of the converter or of a later rounding."""
     values = np.unique(raw[np.isfinite(raw)])
     gaps = np.diff(values)
     gaps = gaps[gaps > 1e-9 * max(np.abs(values).max(initial=0.0), 1e-300)]
@@ -93,7 +94,7 @@ def step_of(raw: Floats) -> float:
 
 
 def rests(time: Floats, raw: Floats, unloaded: NDArray[np.bool_]) -> list[Stretch]:
-    """Return the stretches in which a channel is unloaded or, if none is known, in which it is quietest."""
+    """Return the unloaded stretches of a channel, or its quietest stretches if the load is unknown."""
     rows = conversions(raw).rows
     if len(rows) < FEWEST:
         return []
@@ -107,24 +108,24 @@ def rests(time: Floats, raw: Floats, unloaded: NDArray[np.bool_]) -> list[Stretc
 
 
 def find_leaps(time: Floats) -> NDArray[np.bool_]:
-    """Return which steps between increasing times in s, shape (N,), are gaps, shape (N - 1,)."""
+    """Return a mask of the gaps, shape (N - 1,), between increasing times in s, shape (N,)."""
     steps = np.diff(time)
     leaps: NDArray[np.bool_] = steps > max(MAX_GAP, LEAP * _usual_step(time))
     return leaps
 
 
 def _usual_step(time: Floats) -> float:
-    """Return the median of the positive steps of time in s."""
+    """Return the median of the positive time steps in s."""
     steps = np.diff(time)
     return float(np.median(steps[steps > 0.0]))
 
 
 def find_settled(parts: Sequence[Stretch]) -> list[Stretch]:
-    """Return the longest part of each stretch in which means over half a second change as usual.
+    """Return the longest part of each stretch without unusual changes between means over half a second.
 
-    A plate relaxes for some seconds after somebody has left it, and trembles when somebody walks by. A column
-    of loads may also change some rows before or after the load does. Stretches of less than three means are
-    returned unchanged.
+    A plate relaxes for some seconds after a person has stepped off it, and vibrates when people walk past. A
+    column of loads may also change some rows before or after the actual load. Stretches with fewer than three
+    means are returned unchanged.
     """
     sizes = [max(1, round(BLOCK / float(np.diff(one.time).mean()))) for one in parts]
     steps = [np.abs(np.diff(_means(one, size))) for one, size in zip(parts, sizes, strict=True)]
@@ -155,7 +156,7 @@ def _means(one: Stretch, size: int) -> Floats:
 
 
 def _quiet(time: Floats, value: Floats) -> NDArray[np.bool_]:
-    """Return the rows in which a channel is about as quiet as in its quietest parts."""
+    """Return a mask of the rows where a channel is about as quiet as in its quietest blocks."""
     size = max(FEWEST // 2, round(BLOCK / _usual_step(time)))
     blocks = len(value) // size
     if blocks < 2:
@@ -164,7 +165,7 @@ def _quiet(time: Floats, value: Floats) -> NDArray[np.bool_]:
     spread = parts.std(axis=1)
     quiet = spread <= QUIET * max(float(np.quantile(spread, 0.1)), np.sqrt(ROUNDING))
     quiet &= (np.diff(parts, axis=1) ** 2).mean(axis=1) >= 2.0 * WHITE * spread**2
-    # Two quiet blocks at different loads are two rests.
+    # Quiet blocks under different loads belong to different stretches.
     jump = np.abs(np.diff(parts.mean(axis=1))) > QUIET * np.maximum(spread[1:], spread[:-1])
     found = np.repeat(quiet, size)
     found[size * (np.flatnonzero(jump) + 1)] = False
@@ -172,7 +173,7 @@ def _quiet(time: Floats, value: Floats) -> NDArray[np.bool_]:
 
 
 def allan(stretches: Sequence[Stretch]) -> Allan:
-    """Return the overlapping Allan deviations of all stretches together, at octaves of conversions."""
+    """Return overlapping Allan deviations of means over 1, 2, 4, ... conversions, pooled over stretches."""
     longest = max((len(one.value) for one in stretches), default=0)
     taus, deviations, pairs = [], [], []
     interval = float(np.concatenate([np.diff(one.time) for one in stretches]).mean()) if stretches else np.nan
@@ -194,7 +195,7 @@ def allan(stretches: Sequence[Stretch]) -> Allan:
 
 
 def noise_of(curve: Allan) -> Noise:
-    """Fit white noise and a random walk to Allan variances, weighed by how well each is known."""
+    """Fit white noise and a random walk to Allan variances, weighted by their precision."""
     if not len(curve.tau):
         return Noise(float("nan"), float("nan"), float("nan"))
     interval, largest = float(curve.tau[0]), float(curve.deviation.max())
@@ -202,7 +203,7 @@ def noise_of(curve: Allan) -> Noise:
         return Noise(0.0, 0.0, interval)
     variance = np.maximum(curve.deviation, 1e-9 * largest) ** 2
     A = np.column_stack([interval / curve.tau, curve.tau / 3.0 * (1.0 + 0.5 * (interval / curve.tau) ** 2)])
-    # The spread of a variance is itself times sqrt(2 / pairs).
+    # The relative standard error of a variance is sqrt(2 / pairs).
     weight = np.sqrt(curve.pairs / 2.0) / variance
     size = np.linalg.norm(A * weight[:, None], axis=0)
     found = nnls(A * weight[:, None] / size, variance * weight)[0] / size

@@ -1,4 +1,4 @@
-"""The preset of load cells that behave as a recording does, with intervals, and whether they do."""
+"""Identify a preset of simulated load cells from a recording, and test how well it reproduces the log."""
 
 import json
 from collections.abc import Iterator
@@ -24,19 +24,19 @@ from surefoot.sensors import LoadCells
 from surefoot.sensors.stages.mechanics import Mechanics
 from surefoot.sensors.transport.wire import Wire
 
-ROUND = 1e-6  # by which a step may miss a count
-FINEST = 2.0**24  # steps in the range of readings that no converter has
-FOLLOWS = 0.5  # correlation with its load that no cell is below that carries it: noise is a percent of it
-OVERLOAD = 1.5  # times its rated load that a cell bears by its data sheet
-CUT = 0.01  # share of readings at zero, and none beyond, from which something has cut them off
-LATE = 1.05  # rows by which a conversion may be seen late, jitter of the rows included
-ITERATIONS = 20  # of counting a chip's conversions
-UNLIKE = 0.01  # probability below which a test tells twin and log apart, over all tests
+ROUND = 1e-6  # tolerance when comparing the step of the readings with one count
+FINEST = 2.0**24  # steps in the range of readings above which they must have been filtered or scaled
+FOLLOWS = 0.5  # minimum correlation of a loaded cell with its load (the usual noise of 1 % gives nearly 1)
+OVERLOAD = 1.5  # maximum load of a cell relative to its rated load, from data sheets
+CUT = 0.01  # share of readings at exactly zero above which a one-sided channel counts as clipped
+LATE = 1.05  # maximum delay in rows between a conversion and its first row, including jitter of the rows
+ITERATIONS = 20  # maximum iterations when counting the conversions of a chip
+UNLIKE = 0.01  # significance level for a difference between twin and log, over all tests together
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an instrument, with its interval."""
+    """One identified parameter of an instrument, with its confidence interval."""
 
     name: str
     unit: str
@@ -46,31 +46,39 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """An instrument as a recording shows it."""
+    """An instrument identified from a recording, with tests of its likeness."""
 
     recording: Recording
     preset: LoadCells
     parameters: tuple[Parameter, ...]
-    likeness: tuple[tuple[str, float], ...]  # what was compared, and the probability of so large a difference
+    likeness: tuple[tuple[str, float], ...]  # compared quantities and their p-values
     notes: tuple[str, ...]
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """The instrument, and how much its twin is like it."""
+        """Tables of the parameters and of the likeness tests."""
         return (parameter_table(self), likeness_table(self))
 
     @property
     def alike(self) -> bool:
-        """Whether no test tells twin and log apart."""
+        """Whether no test finds a significant difference between twin and log."""
         return all(p * len(self.likeness) > UNLIKE for _, p in self.likeness)
 
 
 def identify(recording: Recording, capacity: float | None = None) -> Twin:
-    """Find the load cells that a recording is of; their capacity in N is the largest load unless it is given.
+    """Identify the load cells of a recording.
 
-    A recording has rest, and for the answer to loads known ones (``load_kg`` or ``load_N`` in each row).
-    CalibrationRefused if there are no times, no scale in newtons, or no rest; LogError if times do not
-    increase, or the recording's own command cannot read it.
+    The recording must contain rest. Scale, hysteresis, creep and delay also need known loads, as columns
+    ``load_kg`` or ``load_N``.
+
+    Args:
+        recording: The recording.
+        capacity: Rated load of one cell in N. By default the largest known load, or an estimate if
+            the load is constant.
+
+    Raises:
+        CalibrationRefused: If times, a scale in newtons or rest are missing.
+        LogError: If times do not increase, or the command for this kind of log cannot read the recording.
     """
     heaviest = 0.0 if recording.load is None else float(np.nanmax(np.abs(recording.load)))
     _check(recording, capacity, heaviest)
@@ -92,7 +100,7 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
     if recording.load is not None and np.ptp(recording.load) > 0.0:
         rated = capacity or heaviest
         response = respond(recording.time, recording.raw, recording.load, rated, at_rest, rate)
-        # Noise and drift once more, without what the cells remember of their loads.
+        # Estimate noise and drift again, after subtracting hysteresis and creep.
         size = np.full(len(scale), 1.0 / float(np.mean(np.abs(response.scale))))
         forgot = recording.raw - response.memory(recording.time, recording.load, rated)
         at_rest = fit_at_rest(constant_stretches(recording, size, forgot)) or at_rest
@@ -101,7 +109,7 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
         highest = np.abs(recording.raw - np.nanmedian(recording.raw, axis=0)) * scale
         rated = capacity or max(LoadCells().capacity, float(np.nanmax(highest)))
     if not recording.has_loads:
-        # What an unknown load does at rest is in the noise, and the drift is all its own.
+        # Changes of an unknown load also appear as noise and drift, so only the upper limits are valid.
         noise = at_rest.noise._replace(low=0.0)
         at_rest = AtRest(noise, Interval(0.0, 0.0, at_rest.offset.high), None, at_rest.settling)
     signed = scale if recording.scale is None else recording.scale
@@ -114,7 +122,7 @@ def identify(recording: Recording, capacity: float | None = None) -> Twin:
 
 
 def _check(recording: Recording, capacity: float | None, heaviest: float) -> None:
-    """Refuse a recording that is not one of load cells over time that bear its heaviest load in N."""
+    """Refuse a recording without times, of a six-axis sensor, or with a load in N far above the capacity."""
     if not recording.has_times:
         raise CalibrationRefused(f"{recording.file}: rows have no times.", "Give time_s, or [rates].")
     if recording.kind == "six-axis sensor":
@@ -132,7 +140,7 @@ def _check(recording: Recording, capacity: float | None, heaviest: float) -> Non
 
 
 def _leave_out_cut(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
-    """Leave out unloaded readings of channels that something has cut off at zero, and say so."""
+    """Leave out unloaded readings of channels that are clipped at zero, and return notes about them."""
     raw, unloaded, notes = recording.raw.copy(), recording.unloaded.copy(), []
     for i, (name, one) in enumerate(zip(recording.names, recording.raw.T, strict=True)):
         there = one[np.isfinite(one)]
@@ -148,7 +156,7 @@ def _leave_out_cut(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
 
 
 def _scale(recording: Recording) -> Floats:
-    """Return N per count, without a sign: by known loads, else the nominal one."""
+    """Return the absolute scale in N per count, from known loads if present, else the nominal one."""
     load = recording.load
     if load is not None and np.ptp(load) > 0.0:
         found = []
@@ -171,20 +179,20 @@ def _scale(recording: Recording) -> Floats:
 
 
 def _rate(recording: Recording, seen: Conversions) -> Interval | None:
-    """Return the conversions a second of a chip that is slower than the rows; ``None`` for others."""
+    """Return the conversions per second of a chip that is slower than the rows, otherwise ``None``."""
     rows = seen.rows
     if not seen.slower or len(rows) < FEWEST:
         return None
     time, row = recording.time[rows], float(np.median(np.diff(recording.time)))
     period, number_of = float(np.diff(time).mean()), np.zeros(0)
-    # Each conversion is seen up to a row late; a gap has no more of them than it must have.
+    # A conversion appears in the log up to one row late. Count the fewest conversions that explain each gap.
     for _ in range(ITERATIONS):
         steps = np.maximum(np.ceil((np.diff(time) - LATE * row) / period), 1.0)
         number_of, before = np.concatenate([[0.0], np.cumsum(steps)]), period
         period, _ = np.polyfit(number_of, time, 1)
         if abs(period - before) < 1e-12 * before:
             break
-    # Lateness beats with the rows and does not average out: the line is as sure as its two ends.
+    # The delay beats with the row rate and does not average out, so only the two ends limit the error.
     spread = row / np.sqrt(6.0) / float(time[-1] - time[0])
     return normal_interval(1.0 / period, spread / period)
 
@@ -197,7 +205,7 @@ def _preset(
     at_rest: AtRest,
     response: Response | None,
 ) -> tuple[LoadCells, tuple[str, ...]]:
-    """Return the cells, and notes on open questions."""
+    """Return the preset, and notes about parameters that the recording does not determine."""
     default, row = LoadCells(), float(np.median(np.diff(recording.time)))
     unit, bits, binary, notes = _find_converter(recording, slope)
     counts, slope = recording.raw / unit, slope / unit
@@ -240,7 +248,10 @@ def _preset(
 
 
 def _find_converter(recording: Recording, slope: Floats) -> tuple[float, int, bool, list[str]]:
-    """Return one step in readings, the bits, 0 for none, whether they are offset-binary, and notes."""
+    """Return the step of the readings, the bits, whether they are offset-binary, and notes.
+
+    The number of bits is 0 if the readings do not come directly from a converter.
+    """
     step = float(np.nanmedian([step_of(raw) for raw in recording.raw.T]))
     unit, most = step if np.isfinite(step) else 1.0, LoadCells().adc_bits
     if unit * FINEST <= float(np.max(np.nanmax(recording.raw, axis=0) - np.nanmin(recording.raw, axis=0))):
@@ -257,7 +268,7 @@ def _find_converter(recording: Recording, slope: Floats) -> tuple[float, int, bo
 
 
 def _zero_of(counts: Floats, recording: Recording) -> Floats:
-    """Return the median of each channel's unloaded counts; NaN where no row is known to be unloaded."""
+    """Return the median unloaded count of each channel, or NaN without rows that are known to be unloaded."""
     seen = np.isfinite(counts) & recording.unloaded
     return np.array(
         [np.median(one[at]) if at.any() else np.nan for one, at in zip(counts.T, seen.T, strict=True)]
@@ -265,7 +276,7 @@ def _zero_of(counts: Floats, recording: Recording) -> Floats:
 
 
 def _mechanics(response: Response | None) -> Mechanics:
-    """Return the errors of the spring elements that are surely there."""
+    """Return the significant errors of the spring elements."""
     if response is None:
         return Mechanics()
     bends = [abs(one.value) for one in response.nonlinearity if one.low > 0.0 or one.high < 0.0]
@@ -307,7 +318,7 @@ def _parameters(
 
 
 def write_preset(path: Path, twin: Twin) -> Path:
-    """Write the cells as JSON, which :class:`~surefoot.wrappers.FootSensors` takes as a mapping."""
+    """Write fields with other than default values as JSON for :class:`~surefoot.wrappers.FootSensors`."""
     given, default = asdict(twin.preset), LoadCells()
     shown = {
         one.name: given[one.name]
@@ -319,7 +330,7 @@ def write_preset(path: Path, twin: Twin) -> Path:
 
 
 def parameter_table(twin: Twin) -> Table:
-    """Return the parameters with their intervals."""
+    """Return the table of parameters with their confidence intervals."""
     rows = tuple(
         (
             one.name,
@@ -335,7 +346,7 @@ def parameter_table(twin: Twin) -> Table:
 
 
 def likeness_table(twin: Twin) -> Table:
-    """Return whether the twin behaves as the log."""
+    """Return the table of tests that compare the twin with the log."""
     limit = UNLIKE / max(len(twin.likeness), 1)
     rows = tuple((name, number(p), Verdict.of(p > limit)) for name, p in twin.likeness)
     note = "Two-sample tests of Kolmogorov and Smirnov: the log, and a run of the preset under its loads."

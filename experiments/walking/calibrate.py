@@ -1,4 +1,4 @@
-"""Calibrate one log by one method, and write the result: a table, the last parameters and a page."""
+"""Calibrate one log with one method, and write a table, the final parameters and an HTML report."""
 
 import json
 from collections.abc import Sequence
@@ -42,23 +42,23 @@ from surefoot.experiments.walks.replay import (
 from surefoot.files import atomic_path, write_text
 from surefoot.names import plain_name
 
-WRITTEN = 1 << 12  # rows of the result that are written at once: some megabytes
+WRITTEN = 1 << 12  # rows of the result per block of the Parquet file, a few megabytes
 
 
 @dataclass(frozen=True)
 class CalibratedLog:
-    """Where the result of a calibration lies."""
+    """Files, tables and notices of a calibration result."""
 
-    walk: Path  # forces, CoP, parameters and flags of every sample, a Parquet table
-    parameters: Path  # the last map with its uncertainty, JSON as in a log's description
-    page: Path  # one HTML file
-    tables: tuple[Table, ...]  # what to show at once
-    notices: tuple[str, ...]  # what the log lacks
-    ros2: Path | None = None  # the map as parameters of a ROS 2 node, if asked for
+    walk: Path  # Parquet table with forces, CoP, parameters and flags of every sample
+    parameters: Path  # JSON file with the final map and its uncertainty, as in a log's description
+    page: Path  # HTML report
+    tables: tuple[Table, ...]  # for the terminal
+    notices: tuple[str, ...]  # about the log and the result
+    ros2: Path | None = None  # parameters of a ROS 2 node, if requested
 
     @property
     def files(self) -> dict[str, Path]:
-        """All files, by their kind."""
+        """Written files by kind."""
         files = {"calibrated walk": self.walk, "parameters": self.parameters, "report": self.page}
         return files if self.ros2 is None else {**files, "ROS 2": self.ros2}
 
@@ -77,17 +77,18 @@ def calibrate_log(
     ros2: bool = False,
     accept: str = "",
 ) -> CalibratedLog:
-    """Replay a log by a method from a map, and write the result into a folder; a stem begins all names.
+    """Calibrate a log with one method, and write result files whose names begin with ``stem`` to ``folder``.
 
-    Errors count from ``settle`` s on; ``zero_phase`` filters with hindsight; of ``stand`` s at the beginning
-    the window takes its weights; messages call the log ``file``; ``ros2`` adds a file of parameters for a
-    ROS 2 node; ``accept`` is the reason to go on past what is refused, which all files say. ``start`` is the
-    name of a map, or a JSON file that holds one.
-    Raises LogError if there is no such map or the feet's total cannot be in newtons, CalibrationRefused if
-    the log contradicts itself, ValueError if there is no such method or nothing to score.
+    ``start`` is the name of a map or a JSON file with one. Errors are computed after the first ``settle`` s.
+    ``zero_phase`` filters forwards and backwards in time. The first ``stand`` s determine the window's
+    weights. ``ros2`` also writes parameters of a ROS 2 node. Messages call the log ``file``. ``accept`` is
+    the reason to continue although a check refuses the log, and is stored in every file.
+    Raises LogError if the map does not exist, the foot forces cannot be in newtons or an option does not fit
+    the log, CalibrationRefused if the log contradicts itself, and ValueError if the method is unknown or no
+    samples are left to score.
     """
     method, about = method_name(method), log.about
-    plain = plain_name(method)  # for files: some systems have no ':' in names
+    plain = plain_name(method)  # for file names, in which some systems forbid ':'
     start = str(about.get("start", "nominal")) if start is None else start
     if start.endswith(".json"):
         log, start = with_map(log, Path(start)), "calibrated"
@@ -125,7 +126,7 @@ def calibrate_log(
 
 
 def _write_results(facts: Facts, node: dict[str, Any] | None, folder: Path, stem: str) -> CalibratedLog:
-    """Write all files of a result; ``node`` holds the parameters of a ROS 2 node, or is ``None``."""
+    """Write all files of a result. ``node`` contains the parameters of a ROS 2 node, if requested."""
     tables = (parameter_table(facts), *terminal_tables(facts))
     walk, parameters, page = (folder / f"{stem}.{end}" for end in ("parquet", "json", "html"))
     with atomic_path(walk) as part:
@@ -144,13 +145,13 @@ def _judge(log: Log, initial: Parameters) -> tuple[tuple[Finding, ...], Lateness
 
 
 def _pass_or_refuse(findings: Sequence[Finding], accept: str, file: str) -> tuple[str, ...]:
-    """Return notices of findings, or raise CalibrationRefused."""
+    """Return findings as notices, or raise CalibrationRefused if one of them refuses the log."""
     passed, weaker = pass_or_refuse(findings, accept, file, "every file")
     return passed + weaker
 
 
 def _write_walk(path: Path, facts: Facts) -> None:
-    """Write the table of every sample in blocks of rows, so that memory never holds all columns at once."""
+    """Write the table of all samples in blocks of rows, to limit memory use."""
     blocks = (slice(first, first + WRITTEN) for first in range(0, len(facts.log), WRITTEN))
     parts = (
         replace(facts, log=facts.log.cut(rows), estimate=take_rows(facts.estimate, rows)) for rows in blocks
@@ -169,14 +170,14 @@ def _walk_columns(facts: Facts) -> dict[str, NDArray[Any]]:
     spread = standard_deviations(estimate, facts.initial)
 
     def add(parts: dict[str, NDArray[Any] | None]) -> None:
-        """Add columns of every channel by their form: 0 stands for the channel, 1 for its unit."""
+        """Add one column per channel and format string. Field 0 is the channel, field 1 its unit."""
         for i, (name, torque) in enumerate(zip(channel_slugs(log.layout), torques, strict=True)):
             for form, values in parts.items():
                 if values is not None:
                     columns[form.format(name, "Nm" if torque else "N")] = values[:, i]
 
     add({"force_{0}_{1}": estimate.force, "force_{0}_std_{1}": estimate.force_std})
-    # Feet alone do not know where they stand.
+    # Without the robot's motion, the relative position of the feet is unknown, and so is their common CoP.
     for i, axis in enumerate("" if facts.feet_alone else "xy"):
         columns[f"cop_level_{axis}_m"] = estimate.cop[:, i]
         if estimate.cop_covariance is not None:
@@ -204,9 +205,10 @@ def _walk_columns(facts: Facts) -> dict[str, NDArray[Any]]:
 
 
 def standard_deviations(estimate: Estimate, initial: Parameters) -> Parameters | None:
-    """Return how sure a method is of its map in N per count and N, (N, K) each; ``None`` if it is silent.
+    """Return standard deviations of scales in N per count and offsets in N, shape (N, K) each.
 
-    From (c0, d0) the map in counts is c = a c0, d = a d0 + b, of which it reports the covariance of (a, b).
+    With the starting map (c0, d0), the calibrated map is c = a c0, d = a d0 + b. The estimate contains the
+    covariance of (a, b). The result is ``None`` if the method does not report a covariance.
     """
     if estimate.covariance is None:
         return None
@@ -241,10 +243,10 @@ def _last(facts: Facts) -> dict[str, Any]:
 
 
 def _write_ros2(facts: Facts, node: dict[str, Any], path: Path) -> Path:
-    """Write the last map as parameters of a node ``surefoot``, with all others that it needs."""
+    """Write the final map and the other required parameters of the ROS 2 node ``surefoot``."""
     last = _last(facts)
     names = ("channels", "scale_N_per_count", "offset_N", "scale_std_N_per_count", "offset_std_N")
-    # A ROS 2 parameter is one number, text or flag, or a list of one kind of them.
+    # A ROS 2 parameter is a number, a string or a boolean, or a list of one of these types.
     parameters = {name: last[name] for name in names if last[name] is not None}
     parameters |= {"method": facts.method, "mass_kg": float(facts.log.mass)} | node
     comment = (

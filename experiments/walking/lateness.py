@@ -1,9 +1,9 @@
-"""How much older the readings of the feet are than the description of a log says.
+"""Estimate the additional delay of the foot readings, compared with the description of a log.
 
-A converter averages and settles over some samples, and its reading waits for the next poll: 30 to 60 ms at 80
-samples per second, up to 0.3 s at 10. The age is a parameter of the fit of
-:mod:`surefoot.experiments.walking.claims` and not a mistake: the references are moved to the moments at which
-the readings were taken.
+A converter averages and settles over some samples, and its reading then waits for the next poll. The delay is
+30 to 60 ms at 80 samples per second, and up to 0.3 s at 10. It does not count as a mistake in the log.
+Instead, it is a parameter of the fit of :mod:`surefoot.experiments.walking.claims`, and the references are
+shifted to the sampling times of the readings.
 """
 
 from collections.abc import Callable
@@ -17,25 +17,28 @@ from surefoot.experiments.logs.format import Log
 from surefoot.experiments.walking.claims import WIDTHS, Claims, condense, fit_parts
 
 DELAY = "feet late or early"
-LONGEST = 0.5  # longest lateness in s that is tried: HX711 chips at 10 samples a second settle in 0.4 s
+LONGEST = 0.5  # limit of the search in s, either way (an HX711 at 10 samples per second settles in 0.4 s)
 STEPS = 0.05, 0.025, 0.0125  # steps in s of the search, the first over the whole range
-SURE = 10.0  # gain of evidence in nats from which a lateness counts: one false alarm in 20,000 logs
-REPORTED = 0.005  # lateness in s below which nobody needs to change a description
+SURE = 10.0  # minimum gain in log evidence to accept a delay, in nats: one false alarm in 20,000 logs
+REPORTED = 0.005  # delays in s below this are too small to correct in the description, and not reported
 
 
 class Lateness(NamedTuple):
-    """How much later than described the readings are."""
+    """Additional delay of the readings, compared with the description."""
 
-    seconds: float  # negative if they are earlier
+    seconds: float  # negative if the readings are earlier than described
     std: float  # in s
-    gain: float  # of evidence against no lateness, in nats
+    gain: float  # gain in log evidence over zero delay, in nats
 
 
 PUNCTUAL = Lateness(0.0, np.nan, 0.0)
 
 
 def measure_lateness(claims: Claims, undo: Callable[[Any], Any] = lambda claims: claims) -> Lateness:
-    """Return the lateness by which claims, with a mistake undone, fit best; zero if it gains too little."""
+    """Return the delay for which the claims fit best after undoing a mistake.
+
+    The result is zero delay if the evidence improves by less than :data:`SURE`.
+    """
     found: dict[float, float] = {}
 
     def try_at(delay: float) -> float:
@@ -59,18 +62,18 @@ def measure_lateness(claims: Claims, undo: Callable[[Any], Any] = lambda claims:
 
 
 def shift(claims: Claims, delay: float) -> Claims:
-    """Return claims whose readings were taken ``delay`` s earlier than they were written."""
+    """Return claims with the readings moved ``delay`` s earlier, to their sampling times."""
     return replace(claims, raw=_interpolate(claims.raw, delay / claims.dt))
 
 
 def make_punctual(log: Log, delay: float) -> Log:
-    """Return a log with the beliefs of the moments at which its readings were taken, ``delay`` s earlier."""
+    """Return a log with its references at the sampling times of the readings, ``delay`` s earlier."""
     if delay == 0.0:
         return log
 
     def move(beliefs: Any) -> Any:
         parts = (_interpolate(np.asarray(part, dtype=float), -delay / log.dt) for part in beliefs)
-        # A foot surely stands or swings if it does so around the moment.
+        # Between two rows, a contact flag is set only if it is set in both of them.
         moved = [
             part > 1.0 - 1e-9 if np.asarray(old).dtype == bool else part
             for part, old in zip(parts, beliefs, strict=True)
@@ -82,7 +85,7 @@ def make_punctual(log: Log, delay: float) -> Log:
 
 
 def _interpolate(values: Any, rows: float) -> Any:
-    """Read rows of an array so many rows later, linearly; NaN beyond its ends."""
+    """Interpolate an array linearly at its row numbers plus ``rows``, with NaN beyond its ends."""
     first, share = int(np.floor(rows)), rows - np.floor(rows)
     at = np.arange(len(values)) + first
     low, high = (np.clip(at + k, 0, len(values) - 1) for k in (0, 1))
@@ -92,7 +95,7 @@ def _interpolate(values: Any, rows: float) -> Any:
 
 
 def report_lateness(log: Log, late: Lateness) -> list[Finding]:
-    """Report a lateness, and the key of the description that sets it for this kind of log."""
+    """Return a finding about the delay that names the setting to correct, or none if it is negligible."""
     if abs(late.seconds) < REPORTED:
         return []
     side = "older" if late.seconds > 0.0 else "newer"
@@ -104,7 +107,7 @@ def report_lateness(log: Log, late: Lateness) -> list[Finding]:
 
 
 def _key(log: Log, seconds: float) -> str:
-    """Return the setting that makes up for a lateness."""
+    """Return advice on the setting of the description that compensates for the delay."""
     motion = log.motion
     if motion is None:
         lag = log.lag - round(seconds / log.dt)

@@ -1,4 +1,8 @@
-"""Data that would mislead any calibrator are refused; missing data are noticed, and shown."""
+"""Check a log before and after calibration: reject implausible loads, and collect notices about missing data.
+
+A log is rejected only if it would mislead every calibrator. All other flaws become notices, which are shown
+to the user and stored with the result.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,13 +21,13 @@ from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.walking.agreement import ground_of_motion
 from surefoot.experiments.walking.judge import explain_pull
 
-MOST = 3.0  # times that the feet's total may differ from the weight before units must be wrong
-STILL = 0.003  # std in m of the CoP that the motion asks for, below which a robot stands
-ALIKE = 0.03  # relative difference between the mass in the description and the drawing's that needs no word
+MOST = 3.0  # maximum ratio between total foot force and weight, either way (beyond it, units are wrong)
+STILL = 0.003  # maximum std in m of the CoP required by the motion, for a robot that stands still
+ALIKE = 0.03  # relative difference between mass_kg and the mass of the robot model that is not reported
 
-SPARSE = 0.5  # share of readings that are missing, or refused, from which it is worth a word
-ROUNDING = 1e-9  # weights that a force of exactly none may be off by its arithmetic
-COMMON = 1.5  # median change of scales above which it is no error of single cells
+SPARSE = 0.5  # minimum share of missing, repeated or rejected readings for a notice
+ROUNDING = 1e-9  # rounding error of a force that is exactly zero, in units of the body weight
+COMMON = 1.5  # maximum median change factor of the scales, either way (beyond it, one cause affects all)
 
 _UNITS = {
     1000.0: "millinewtons or a mass in tonnes",
@@ -35,15 +39,15 @@ _UNITS = {
 
 
 def check_weight(log: Log, start: str, initial: Parameters, file: str) -> None:
-    """Raise LogError if by the starting map the feet carry far from the robot's weight, or pull."""
+    """Raise LogError if the foot forces of the starting map are negative or far from the robot's weight."""
     if wrong := weigh_feet(log, start, initial):
         raise LogError(f"{file}: {wrong.reason} {wrong.cure}")
 
 
 def weigh_feet(log: Log, start: str, initial: Parameters) -> Finding | None:
-    """Find feet that by the starting map carry far from the robot's weight, or pull; ``None`` if sound."""
+    """Return a finding if the starting map gives negative forces or an implausible weight, else ``None``."""
     read = np.isfinite(log.raw)
-    # What never changes is a dead channel: its count says nothing of its load.
+    # A reading that never changes comes from a dead channel and is unrelated to the load.
     lives = np.array([at.any() and np.ptp(raw[at]) > 0.0 for raw, at in zip(log.raw.T, read.T, strict=True)])
     if not lives.any():
         reason = f"columns 'raw_..._count' hold no reading that ever changes in the {len(log)} rows;"
@@ -58,7 +62,7 @@ def weigh_feet(log: Log, start: str, initial: Parameters) -> Finding | None:
         pull = f"by the {start} map the feet pull the ground with {-low:.4g} N, {given}."
         return replace(cause, reason=f"{pull} {cause.reason}")
     if high < weight / MOST:
-        high = highest  # nobody stands on a plate most of the time
+        high = highest  # the robot may stand on the sensors for less than a tenth of the log
     ratio = float(high / weight)
     if 1.0 / MOST <= ratio <= MOST:
         return None
@@ -77,7 +81,7 @@ def weigh_feet(log: Log, start: str, initial: Parameters) -> Finding | None:
 
 
 def log_notices(log: Log, file: str) -> tuple[str, ...]:
-    """Notices about a log, a sentence each: the fact, its meaning, and its cure."""
+    """Notices about a log. Each is one sentence with the observation, its effect and the remedy."""
     found = (*_clock_notices(log), *motion_notices(log))
     broken = (
         f"{file} ({one.since}): {one.finding.reason} {one.finding.cure}" for one in find_broken(log, file)
@@ -86,15 +90,19 @@ def log_notices(log: Log, file: str) -> tuple[str, ...]:
 
 
 def find_broken(log: Log, file: str) -> Iterator[Wrong]:
-    """Yield the flaws of single channels for which a check calls a log wrong; methods may cope with them."""
+    """Yield the flaws of single channels that ``surefoot check`` reports as wrong.
+
+    Calibration continues, because some methods can cope with them.
+    """
     names, nowhere = tuple(raw_names_of(log.layout)), np.zeros(log.raw.shape, dtype=bool)
     recording = Recording(file, "walk", names, log.time, log.raw, nowhere)
-    timeless = replace(recording, time=np.full(len(log), np.nan))  # noise and drift need no look
+    # Without times, noise and drift are not analysed, which saves time.
+    timeless = replace(recording, time=np.full(len(log), np.nan))
     yield from (one for one in find_wrong_channels(recording, facts_of(timeless)) if one.finding.refuses)
 
 
 def _clock_notices(log: Log) -> Iterator[str]:
-    """Yield what is lacking in the clock."""
+    """Yield a notice about gaps in the times of the rows."""
     step = np.diff(log.time)
     gaps = find_gaps(step)
     if gaps.any():
@@ -106,7 +114,7 @@ def _clock_notices(log: Log) -> Iterator[str]:
 
 
 def motion_notices(log: Log) -> Iterator[str]:
-    """Yield what is lacking in motion, contacts and mass, and rows without readings of their own."""
+    """Yield notices about incomplete motion, contacts and mass, and about rows that repeat readings."""
     held = (np.diff(log.raw, axis=0) == 0.0).all(axis=1).mean() if len(log) > 1 else 0.0
     if SPARSE < held < 1.0:
         yield (
@@ -146,7 +154,7 @@ def motion_notices(log: Log) -> Iterator[str]:
 def result_notices(
     log: Log, method: str, initial: Parameters, estimate: Estimate, file: str
 ) -> tuple[str, ...]:
-    """Return notices of a result: nothing was learnt, scales of another sign, a common factor."""
+    """Return notices about a result: an unchanged map, scales that change sign, or a common scale factor."""
     found, unread = [], float(1.0 - np.isfinite(log.raw).mean())
     still = all(np.ptp(part, axis=0).max() == 0.0 for part in (estimate.scale, estimate.offset))
     if still and method != "none":
@@ -174,7 +182,7 @@ def result_notices(
 
 
 def _why_nothing_was_learnt(log: Log, method: str, initial: Parameters, estimate: Estimate) -> str:
-    """Say why the map is the one at the start, and the way out."""
+    """Return the likely reason why the map did not change, with a remedy."""
     read, flags = np.isfinite(log.raw), np.asarray(estimate.flags)
     unread, partly = float(1.0 - read.mean()), float(1.0 - read.all(axis=1).mean())
     lost = Flag.MISSING | Flag.OUT_OF_RANGE | Flag.DEAD | Flag.STUCK
@@ -202,7 +210,10 @@ def _why_nothing_was_learnt(log: Log, method: str, initial: Parameters, estimate
 
 
 def _spread(log: Log) -> float:
-    """Standard deviation of the centre of pressure that the motion asks for, seen from the soles."""
+    """Standard deviation in m of the CoP required by the motion, relative to the middle of the soles.
+
+    It is infinite if the CoP is unknown in all rows.
+    """
     cop = ground_of_motion(log).cop
     there = cop[np.isfinite(cop).all(axis=-1)]
     return float(there.std(axis=0).max()) if len(there) else np.inf

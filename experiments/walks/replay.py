@@ -1,4 +1,4 @@
-"""Replay logs through the online methods, each as the robot would have."""
+"""Replay recorded logs through the online calibrators, as they would run on the robot."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,24 +17,25 @@ from surefoot.experiments.logs.table import LogError
 
 
 def replay_log(log: Log, method: str, initial: Parameters, **options: Any) -> Estimate:
-    """Run one method over a log, N samples at once, from a map; options as of :class:`FootCalibrator`.
+    """Run one method over the N samples of a log, starting from a calibration map.
 
-    And those of :func:`~surefoot.calibration.replay`.
+    ``options`` are those of :class:`FootCalibrator` and of :func:`~surefoot.calibration.replay`.
     """
     known: dict[str, Any] = {"mass": log.mass, "initial": initial, "lag": log.lag, "age": age_of(log)}
-    # Accelerations are what can be filtered forwards and backwards.
+    # The zero-phase filter works on accelerations, which only a Reference contains.
     beliefs = log.reference if options.get("zero_phase") else beliefs_of(log, method)
     return replay(log.layout, method, log.raw, beliefs, steps_of(log), **known, **options)
 
 
 def standing_weights(log: Log, initial: Parameters, stand: float) -> dict[str, float]:
-    """Return the window's weights of a log's first ``stand`` s as the CoP paper takes them, as its options.
+    """Return the weights of the window method, computed from the first ``stand`` s of a log.
 
-    Raises LogError if the robot does not stand on its feet then.
+    The computation is the one of the CoP paper, and the result is a dictionary of options. Raises LogError if
+    the robot does not stand on its feet during that time.
     """
     known: dict[str, Any] = {"dt": log.dt, "lag": log.lag, "age": age_of(log)}
     setup = OnlineSetup(layout=log.layout, mass=log.mass, initial=initial, **known)
-    # Filters settle in the first second; a reference describes the sample of `lag` samples ago.
+    # Skip the first second, in which the filters settle. The reference at row i belongs to sample i - lag.
     rows = np.flatnonzero((log.time > log.time[0] + 1.0) & (log.time < log.time[0] + stand))
     told = take_rows(log.reference, np.minimum(rows + log.lag, len(log) - 1))
     try:
@@ -45,25 +46,25 @@ def standing_weights(log: Log, initial: Parameters, stand: float) -> dict[str, f
 
 
 def beliefs_of(log: Log, method: str) -> Reference | MomentumReference:
-    """Return a log's beliefs of the kind that a method takes; of both kinds "moment" takes momentum."""
+    """Return the reference for a method: the momentum reference for "moment" if the log contains one."""
     return log.momentum if method == "moment" and log.momentum is not None else log.reference
 
 
 def steps_of(log: Log) -> Floats:
-    """Return the times since the sample before in s, shape (N,)."""
+    """Return the time steps since the previous sample in s, shape (N,)."""
     steps: Floats = np.diff(log.time, prepend=log.time[0] - log.dt)
     return steps
 
 
 def age_of(log: Log) -> float:
-    """Return how old a log's readings were on average when they were taken, in s; 0 where nothing says so."""
+    """Return the mean age in s of readings when they were sampled, or 0 if the log does not contain it."""
     return float(log.about.get("sample_age_s", 0.0))
 
 
 def foot_length_of(log: Log, file: str) -> dict[str, float]:
-    """Return the length of a foot as an option of methods, where the places of channels do not give it.
+    """Return the foot length as an option of the methods, or no option if cell positions determine it.
 
-    Raises LogError if neither they nor the description do.
+    Raises LogError if neither the description nor the cell positions determine it.
     """
     if "foot_length_m" in log.about:
         return {"foot_length": float(log.about["foot_length_m"])}
@@ -76,7 +77,11 @@ def foot_length_of(log: Log, file: str) -> dict[str, float]:
 
 
 def starting_map(log: Log, start: str | None = None) -> Parameters:
-    """Return the nominal or the calibrated map, or raise LogError; by default as ``about`` says."""
+    """Return the nominal or the calibrated map of a log.
+
+    ``start`` defaults to the entry "start" of ``about``, then to "nominal". Raises LogError if the name is
+    unknown or the log does not contain that map.
+    """
     if start is None:
         start = str(log.about.get("start", "nominal"))
     if start not in ("nominal", "calibrated"):
@@ -88,11 +93,11 @@ def starting_map(log: Log, start: str | None = None) -> Parameters:
 
 
 def with_map(log: Log, path: Path) -> Log:
-    """Return a log whose calibrated map is that of a JSON file, as ``surefoot calibrate`` writes one.
+    """Return a copy of a log with the calibrated map of a JSON file written by ``surefoot calibrate``.
 
-    Channels go by their names as they stand in columns (``left_front_left``) or in the layout. Raises
-    LogError if the file holds no map, or not one for every channel. Channels with a curve have straight
-    readings from then on, and ``about`` holds the ``curves``.
+    Channels are matched by their names in columns (``left_front_left``) or in the layout. If the file
+    contains linearisation curves, they are applied to the readings and stored as ``curves`` in ``about``.
+    Raises LogError if the file does not contain a map for every channel.
     """
     calibrated, curves = read_map(path, log.layout.channel_names, LogError)
     about = log.about | ({"curves": curves.as_plain()} if curves.any else {})
@@ -100,8 +105,9 @@ def with_map(log: Log, path: Path) -> Log:
 
 
 def replay_logs(logs: Sequence[Log], method: str, start: str | None = None, **options: Any) -> list[Estimate]:
-    """Run one method over logs of any lengths and robots, and return its estimates, N rows, on each.
+    """Run one method over several logs and return one estimate of N rows per log.
 
-    Raises LogError if a log has no such starting map, ValueError if there is no such method or option.
+    The logs may differ in length and robot. Raises LogError if a log does not contain the starting map, and
+    ValueError if the method or an option is unknown.
     """
     return [replay_log(log, method, starting_map(log, start), **options) for log in logs]
