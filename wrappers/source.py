@@ -1,4 +1,4 @@
-"""Where among wrappers the truth comes from, and how a reset is asked to keep or to change devices."""
+"""Find the source of ground truth below a wrapper, check the order of wrappers, and parse reset options."""
 
 from collections.abc import Mapping
 from typing import Any, Protocol, TypeVar, cast
@@ -13,28 +13,28 @@ from surefoot.envs import InstrumentedEnv, RobotDrawing
 from surefoot.robot.sensing.sensors import SensorsFace
 
 OPTIONS = "surefoot"
-"""Key of a reset's options that is meant for wrappers, and is not handed to the environment."""
+"""Key of the reset options for wrappers. It is not passed to the environment."""
 
 Sensors = TypeVar("Sensors")
 
 CLOCK_TOLERANCE = 0.01
-"""Error of a step's duration, as a share of dt, from which rates would be wrong."""
+"""Maximum error of a step's duration, as a fraction of dt. A larger error would make rates wrong."""
 
 _BLOWN_UP = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
     mujoco.mjtWarning.mjWARN_BADQACC,
 )
-"""What MuJoCo notes of a state that is no number, or too large; a reset wipes it out."""
+"""MuJoCo warnings about a state that is NaN, infinite or too large. A reset clears them."""
 
 FRESH_OR_KEPT = ("fresh", "keep")
 
 
 class Source(Protocol):
-    """An environment that records its truth: surefoot's own, or any inside InstrumentedEnv."""
+    """An environment that records ground truth: one of surefoot, or any other inside InstrumentedEnv."""
 
-    truth: Any  # the last control step, such as :class:`~surefoot.envs.Truth`
-    drawing: RobotDrawing  # the drawing by the robot's maker
+    truth: Any  # of the last control step, for example :class:`~surefoot.envs.Truth`
+    drawing: RobotDrawing  # the manufacturer's drawing of the robot
     joint_names: tuple[str, ...]  # the J hinge joints
     dt: float  # duration of a control step in s
     model: mujoco.MjModel  # the simulated robot
@@ -42,7 +42,7 @@ class Source(Protocol):
 
 
 def find_source(env: gym.Env[Any, Any]) -> Source | None:
-    """Find the outermost environment or wrapper that records its truth; ``None`` if there is none."""
+    """Return the outermost environment or wrapper that records ground truth, or ``None``."""
     below: gym.Env[Any, Any] = env
     while True:
         if hasattr(type(below), "row_meaning") or "row_meaning" in vars(below):
@@ -58,13 +58,16 @@ def find_source(env: gym.Env[Any, Any]) -> Source | None:
 
 
 def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -> Sensors:
-    """Find the sensors whose counts a wrapper calibrates, among the wrappers below it.
+    """Return the sensors whose counts a wrapper calibrates, from the wrappers below it.
 
-    Given are the classes of the wrapper that calibrates, of which one is enough, of that which has the
-    sensors, and of all wrappers.
+    Args:
+        env: The environment that the calibrating wrapper wraps.
+        owner: Class of the calibrating wrapper, which may be used only once.
+        sensors: Class of the wrapper with the sensors.
+        wrapper: Base class of all wrappers.
 
     Raises:
-        TypeError: If there are none, or are calibrated already.
+        TypeError: If the sensors are missing or already calibrated.
     """
     mine, theirs, below = owner.__name__, sensors.__name__, env
     while isinstance(below, wrapper):
@@ -83,7 +86,7 @@ def find_sensors(env: Any, owner: type, sensors: type[Sensors], wrapper: type) -
 
 
 def refuse_second(owner: str, env: Any) -> None:
-    """Raise TypeError if a wrapper of sensors is among the wrappers below another one."""
+    """Raise TypeError if the wrappers below a sensor wrapper already include sensors."""
     below: Any = env
     while below is not None:
         if isinstance(below, SensorsFace):
@@ -97,13 +100,16 @@ def refuse_second(owner: str, env: Any) -> None:
 
 
 def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
-    """Return an environment that records its truth: one that does not gets sensors in its model.
+    """Return an environment that records ground truth, after adding sensors to its model if necessary.
 
-    Options of :class:`~surefoot.envs.InstrumentedEnv` are refused where truth is recorded already.
+    Args:
+        env: The environment.
+        options: Options of :class:`~surefoot.envs.InstrumentedEnv`.
 
     Raises:
-        TypeError: If the environment is not built on MuJoCo.
-        ValueError: If its feet cannot be found or have no place for the sensors.
+        TypeError: If the environment is not based on MuJoCo.
+        ValueError: If its feet cannot be found or do not have space for the sensors, or if options are passed
+            for an environment that already records ground truth.
     """
     if not isinstance(env, gym.Env):
         raise TypeError(
@@ -123,12 +129,12 @@ def with_source(env: gym.Env[Any, Any], **options: Any) -> gym.Env[Any, Any]:
 
 
 def warning_of_true_forces(env: gym.Env[Any, Any]) -> str:
-    """Return a warning if the observation of a robot of Gymnasium's holds the true forces of its contacts."""
+    """Return a warning if the observation of a Gymnasium robot contains its true contact forces."""
     bare: Any = env.unwrapped
     if not getattr(bare, "observation_structure", {}).get("cfrc_ext"):
         return ""
     if spaces.flatdim(env.observation_space) < spaces.flatdim(bare.observation_space):
-        return ""  # a wrapper has left something out
+        return ""  # a wrapper has removed a part of the observation
     return (
         f"The observation of {bare} holds 'cfrc_ext', the true forces of its contacts, beside the sensors: a "
         "policy sees the truth that the sensors are to hide. Leave it out with gym.make(..., "
@@ -137,10 +143,10 @@ def warning_of_true_forces(env: gym.Env[Any, Any]) -> str:
 
 
 def check_order(owner: str, env: gym.Env[Any, Any], source: Any) -> None:
-    """Raise TypeError if truth was mixed with observations before it is taken out.
+    """Raise TypeError if a wrapper changes an observation before ground truth is removed from it.
 
-    Only an environment with a ``state_layout`` shows truth that can be taken out; of others the whole
-    observation is handed on, whatever was made of it.
+    Ground truth can only be removed if the environment has a ``state_layout``. Otherwise, the whole
+    observation is passed on without a check.
     """
     below: Any = env
     while below is not source and getattr(source, "state_layout", None) is not None:
@@ -160,10 +166,20 @@ def _state(env: gym.Env[Any, Any]) -> spaces.Space[Any] | None:
 
 
 def check_clock(owner: str, env: Any, passed: float, dt: float, source: Any = None) -> bool:
-    """Raise RuntimeError if a step did not last the environment's dt: all rates would be wrong.
+    """Raise RuntimeError if a step did not last the environment's dt, which would make all rates wrong.
 
-    Whether a simulation, ``source``, blew up is another matter, which is returned: MuJoCo puts it back to its
-    start by itself, and goes on. Simulated time has ``passed`` in s.
+    If a simulation becomes unstable, MuJoCo resets it to its initial state and continues. This case is
+    returned instead.
+
+    Args:
+        owner: Name of the wrapper, for the message.
+        env: The environment, for the message.
+        passed: Simulated time in s since the previous step.
+        dt: Duration of a control step in s.
+        source: The simulation whose warnings are read, if any.
+
+    Returns:
+        Whether the simulation became unstable during the step.
     """
     late = not abs(passed - dt) <= CLOCK_TOLERANCE * dt
     if late and source is not None and any(source.data.warning[kind].number for kind in _BLOWN_UP):
@@ -180,12 +196,17 @@ def check_clock(owner: str, env: Any, passed: float, dt: float, source: Any = No
 def split_options(
     options: dict[str, Any] | None, *kinds: str
 ) -> tuple[dict[str, Any] | None, Mapping[str, str]]:
-    """Split a reset's options into the environment's and the wrappers', ``"fresh"`` or ``"keep"`` by kind.
+    """Split the options of a reset into those for the environment and those for the wrappers.
 
-    Kinds of choices are ``"sensors"`` and ``"calibration"``. Options are not changed.
+    Args:
+        options: Options of the reset, which are not modified.
+        kinds: Valid keys of the options for wrappers, from ``"sensors"`` and ``"calibration"``.
+
+    Returns:
+        Options for the environment, and ``"fresh"`` or ``"keep"`` by kind.
 
     Raises:
-        TypeError: If they are no mapping.
+        TypeError: If the options are not a mapping.
         ValueError: If a kind or a choice does not exist.
     """
     if options is not None and not isinstance(options, Mapping):

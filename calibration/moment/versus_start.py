@@ -1,10 +1,10 @@
-"""The learnt map against the starting map, block by block, before the filter has learnt from a block.
+"""Compare the learnt map with the starting map on each block, before the filter learns from that block.
 
-While the filter takes the robot to be held by something, a block counts only if the starting map explains it
-without a hold: then the learnt map may be all that is wrong.
+Both maps predict the change of momentum from the end of one block to the mean over the next. Their residuals
+are a mean force in W and a mean torque in W m. :mod:`surefoot.calibration.comparison` compares them.
 
-Both maps predict the change of momentum from the end of one block to the mean over the next. Their residuals,
-as a mean force in W and a mean torque in W m, are compared by :mod:`surefoot.calibration.comparison`.
+While the filter assumes external support, a block is used only if the starting map explains it without
+support. In that case an error of the learnt map alone may explain the apparent support.
 """
 
 import numpy as np
@@ -17,18 +17,18 @@ from surefoot.calibration.moment.model import Rows
 from surefoot.calibration.moment.state import VersusStartState
 
 MEMORY = 20.0
-"""Time in s over which residuals are averaged, some thirty steps. A map that has become better again is
-cleared within that time."""
+"""Time in s over which residuals are averaged, about thirty steps. If a map becomes better again, its poor
+residuals are forgotten within this time."""
 
-EXPLAINED = 3.0  # standard deviations of its noise within which a row is explained
-SLACK = 2.0  # standard deviations of the believed centre of mass and mass that no map is to blame for
+EXPLAINED = 3.0  # residual in standard deviations of its noise up to which a map explains a row
+SLACK = 2.0  # standard deviations of the nominal mass and centre of mass not attributed to a map
 
 
 class VersusStart:
-    """The comparison for one setup.
+    """Compares the learnt map with the starting map for one setup.
 
     Attributes:
-        slack: Constant residual in W and W m that an error of the robot's own model may explain, shape (C,).
+        slack: Constant residual in W and W m that an error of the nominal model may cause, shape (C,).
     """
 
     def __init__(self, columns: Columns, config: Moment) -> None:
@@ -39,15 +39,16 @@ class VersusStart:
     def take(
         self, state: VersusStartState, rows: Rows, before: Array, learnt: Array, duration: float, held: bool
     ) -> VersusStartState:
-        """Take in a block.
+        """Update the comparison with one block.
 
         Args:
             state: Residuals so far.
             rows: The block's rows.
-            before: Momentum measured at the end of the block before, about this block's point, shape (C,).
+            before: Momentum measured at the end of the previous block, about the point of this block, shape
+                (C,).
             learnt: The map that was published before the block, shape (M,).
-            duration: Of the block in s.
-            held: Whether something most likely holds the robot.
+            duration: Duration of the block in s.
+            held: Whether the robot most likely has external support.
         """
         time = min(state.time + duration, MEMORY)
         share = duration / time
@@ -56,7 +57,7 @@ class VersusStart:
         of_row, of_start_row = (self._residual(rows, before, known) / span for known in (learnt, self._start))
         if held and (np.abs(of_start_row) > self.slack + EXPLAINED * np.sqrt(floor)).any():
             return state
-        # Rows count by how exact they are: a step that is read late says little.
+        # Rows are weighted by their precision, because a step that is read late contains little information.
         precision = state.precision + share * (1.0 / floor - state.precision)
         counts = share / (floor * precision)
         of_learnt = Residuals(state.learnt_mean, state.learnt_square).include(of_row, counts)
@@ -65,7 +66,7 @@ class VersusStart:
         return VersusStartState(time, *of_learnt, *of_start, precision, evidence)
 
     def _residual(self, rows: Rows, before: Array, known: Array) -> Array:
-        """Return the measured less the predicted mean momentum of a block by a map, shape (C,)."""
+        """Return the measured minus the predicted mean momentum of a block for one map, shape (C,)."""
         columns = self._columns
         scale, zero = known[columns.scale], known[columns.offset] + known[columns.drift]
         force = np.einsum("ckk,k->c", rows.crossed, scale) + rows.mean[:, columns.offset] @ zero

@@ -1,4 +1,4 @@
-"""Tables of an evaluation: scores of each policy, paired differences, and the worst episodes."""
+"""Build the tables of an evaluation: scores per policy, paired differences, and worst episodes."""
 
 from collections.abc import Iterator, Mapping
 from math import isnan
@@ -43,17 +43,17 @@ from surefoot.experiments.study.tables import (
     with_interval,
 )
 
-FEW_FALLS = 5  # falls below which the mean time to fall has no interval worth the name
-WORST = 5  # how many of the worst episodes are listed
+FEW_FALLS = 5  # number of falls below which the range of times to fall replaces their mean
+WORST = 5  # number of worst episodes in the table
 
 
 class Compared(NamedTuple):
-    """Two runs of the same seeds."""
+    """Two runs with the same seeds, and their difference."""
 
     first: Run
     second: Run
-    interval: Interval  # of first less second, in return
-    better: Estimate  # the probability that the first is better
+    interval: Interval  # of the difference in return, first minus second
+    better: Estimate  # probability that the first run is better
 
 
 def policies_of(frame: Frame) -> list[str]:
@@ -62,7 +62,7 @@ def policies_of(frame: Frame) -> list[str]:
 
 
 def estimate_text(found: Estimate, factor: float = 1.0, digits: int = 3, unit: str = "") -> str:
-    """Return a number with the ends of its interval.
+    """Return a number with the limits of its interval.
 
     >>> estimate_text(Estimate(0.914, 0.78, 0.98), 100.0, 2, " %")
     '91 % (78 to 98)'
@@ -75,7 +75,7 @@ def estimate_text(found: Estimate, factor: float = 1.0, digits: int = 3, unit: s
 
 
 def trainings_text(runs: Frame) -> str:
-    """Return of how many trainings and episodes a policy was run, in words."""
+    """Return the number of trainings and episodes of a policy in words."""
     trainings, episodes = runs["training"].nunique(), plural(runs["seed"].nunique(), "paired episode")
     seeds = f"{episodes} per feed and severity (seeds {seeds_text(runs['seed'])})"
     if trainings > 1:
@@ -84,7 +84,7 @@ def trainings_text(runs: Frame) -> str:
 
 
 def score_table(frame: Frame, name: str = "scores_0", title: str = "") -> Table:
-    """Return one row per feed and severity of one policy."""
+    """Return the scores of one policy, with one row per feed and severity."""
 
     def recovery(runs: Frame) -> str:
         found = share_won_back(frame, _run_of(runs))
@@ -132,7 +132,7 @@ def _episodes(runs: Frame) -> Column:
 
 
 def _times_to_fall(runs: Frame) -> str:
-    """Return a mean with its interval, or of few falls the shortest and the longest."""
+    """Return the mean with its interval, or the shortest and the longest time if there are few falls."""
     times: Column = runs.loc[runs["fell"].astype(bool), "time"]
     if len(times) >= FEW_FALLS or len(times) < 2:
         return with_interval(times)
@@ -141,7 +141,7 @@ def _times_to_fall(runs: Frame) -> str:
 
 
 def between_feeds(frame: Frame) -> Iterator[Compared]:
-    """Compare each feed of each policy with raw and with true feet, at each severity."""
+    """Compare each feed of each policy with raw and with true readings, at each severity."""
     for policy in policies_of(frame):
         feeds = in_order(frame[frame["policy"] == policy]["feed"])
         for base in (RAW, TRUE):
@@ -152,13 +152,13 @@ def between_feeds(frame: Frame) -> Iterator[Compared]:
 
 
 def between_policies(frame: Frame) -> Iterator[Compared]:
-    """Compare policies on each feed with the first of them, or with nobody acting."""
+    """Compare each policy with the first one, or with a robot that does not act, on each feed."""
     policies = policies_of(frame)
     base = NOBODY if NOBODY in policies else policies[0]
     for policy in policies:
         for feed in in_order(frame["feed"]) if policy != base else ():
             for severity in severities_of(frame) if feed != TRUE else [0.0]:
-                # Who does nothing looks at no feed: its true episodes stand for all.
+                # A robot that does not act ignores the feed, so its true episodes represent all feeds.
                 own = base != NOBODY or len(frame[(frame["policy"] == base) & (frame["feed"] == feed)])
                 other = Run(base, feed, severity) if own and feed != TRUE else Run(base, TRUE, 0.0)
                 yield from _compare(frame, Run(policy, feed, severity), other)
@@ -172,7 +172,7 @@ def _compare(frame: Frame, first: Run, second: Run) -> Iterator[Compared]:
 
 
 def difference_table(found: list[Compared], name: str, title: str) -> Table:
-    """Return paired differences; a clear one is good if its first side is the better one."""
+    """Return the paired differences. A clear difference is good if the first run is better."""
 
     def what(one: Compared) -> str:
         sides = [short_label(run.feed) for run in one[:2]]
@@ -181,7 +181,7 @@ def difference_table(found: list[Compared], name: str, title: str) -> Table:
         return " less ".join(sides)
 
     def clear(one: Compared) -> str:
-        # What true feet are ahead by is the cost of the others, and no fault of theirs.
+        # The lead of true readings is the cost of the sensors, so it is not marked as good or bad.
         cost = one.second.feed == TRUE and one.first.policy == one.second.policy
         if cost or not one.interval.apart:
             return "yes" if one.interval.apart else "no"
@@ -205,7 +205,7 @@ def difference_table(found: list[Compared], name: str, title: str) -> Table:
 
 
 def returns_table(frame: Frame) -> Table:
-    """Return the mean returns of all policies beside each other."""
+    """Return the mean returns of all policies, with one column per feed and severity."""
     columns: dict[str, Cell] = {"policy": lambda policy: str(policy)}
     kinds = [
         (feed, s)
@@ -229,7 +229,7 @@ def returns_table(frame: Frame) -> Table:
 
 
 def half_table(frame: Frame) -> Table | None:
-    """Return the severities at which half fall; ``None`` where one severity alone was run."""
+    """Return the severity at which half of the episodes end in a fall, or ``None`` for a single severity."""
     lines = []
     for policy in policies_of(frame):
         for feed, runs in by_way(frame[frame["policy"] == policy], "feed").items():
@@ -249,7 +249,7 @@ def half_table(frame: Frame) -> Table | None:
 
 
 def worst_of(frame: Frame) -> Frame:
-    """Return the worst episodes: the earliest falls, then the lowest returns."""
+    """Return the worst episodes: the earliest falls, followed by the lowest returns."""
     order = {"fell": False, "time": True, "return": True, "case": True}
     return frame.sort_values([*order], ascending=[*order.values()]).head(WORST)
 
@@ -267,6 +267,6 @@ _WORST: Mapping[str, Cell] = {
 
 
 def worst_table(frame: Frame) -> Table:
-    """Return the worst episodes."""
+    """Return the table of the worst episodes."""
     rows: list[Any] = worst_of(frame).to_dict("records")
     return table_of("worst", "The worst episodes: the earliest falls, then the lowest returns", _WORST, rows)

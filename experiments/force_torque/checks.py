@@ -1,4 +1,4 @@
-"""Checks of a log: misleading input is refused with a cure; other flawed samples are left out and noted."""
+"""Check a log: raise an error with a remedy for misleading input, and leave out other bad samples."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -13,18 +13,18 @@ from surefoot.experiments.force_torque.table import Samples
 from surefoot.experiments.logs.clock import read_clock
 from surefoot.experiments.logs.table import LogError
 
-FEWEST = 8  # least number of samples of a set: an affine map of gravity has four unknowns for each channel
-MANY = 0.01  # share of readings at an end of the range above which a channel counts as saturated
-MOSTLY = 0.5  # share of missing readings above which a column is refused
-RAILS = (-32768.0, 32767.0, 65535.0, -8388608.0, 8388607.0)  # ends of converters of 16 and 24 bits
-GAP = 3.0  # multiple of the usual step above which there is a gap between two rows
-POSES = 0.1  # share of gaps above which rows are single poses, which have no rate
-SLOWEST_GYROSCOPE = 0.5  # time in s between two rows above which a gyroscope cannot be integrated
-TURNED = 0.5  # time in s over which both sides of dg/dt = -w x g are integrated
-TURNS = 0.5  # m/s^2 by which gravity must change within that time to show how it turns
-FLAT = 1e-3  # share of the largest singular value below which an arm is not observable
-CLEAR = 0.5  # correlation above which two signals have a common sign
-LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
+FEWEST = 8  # minimum number of samples per set: an affine map of gravity has four unknowns per channel
+MANY = 0.01  # maximum share of readings per channel that are at an end of the range
+MOSTLY = 0.5  # maximum share of missing values per column
+RAILS = (-32768.0, 32767.0, 65535.0, -8388608.0, 8388607.0)  # end values of 16-bit and 24-bit converters
+GAP = 3.0  # multiple of the median time step; a longer step is a gap
+POSES = 0.1  # maximum share of gaps; with more, the rows are single poses without a sample rate
+SLOWEST_GYROSCOPE = 0.5  # maximum median time step in s for the integration of a gyroscope
+TURNED = 0.5  # interval in s for the integration of both sides of dg/dt = -w x g
+TURNS = 0.5  # RMS change of gravity in m/s^2 over that interval; the gyroscope must explain larger changes
+FLAT = 1e-3  # relative tolerance of singular values in the fit of the IMU's lever arm
+CLEAR = 0.5  # minimum correlation for a reliable regression slope
+LARGEST = 1e9  # values are clipped to this magnitude, so that their squares stay finite
 
 _LOOKS = {
     1.0: "it looks like g: say units.acceleration = 'g'",
@@ -34,11 +34,15 @@ _LOOKS = {
     1e3 * GRAVITY: "it looks like mm/s^2: convert the columns to m/s^2",
     1e2 * GRAVITY: "it looks like cm/s^2: convert the columns to m/s^2",
 }
-"""Likely units of an acceleration at rest of that length in m/s^2."""
+"""Likely unit of an acceleration, by its length at rest in m/s^2."""
 
 
 def check_samples(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
-    """Return the samples that a fit can use, and note the others; LogError if values are misleading."""
+    """Return the samples that a fit can use, and append a notice for those left out.
+
+    Raises:
+        LogError: If values are misleading.
+    """
     samples = _check_times(_check_values(samples, notices), notices)
     samples = _check_channels(samples, range_count, notices)
     _check_acceleration(samples)
@@ -47,7 +51,7 @@ def check_samples(samples: Samples, range_count: tuple[float, float] | None, not
 
 
 def _check_values(samples: Samples, notices: list[str]) -> Samples:
-    """Return the rows in which all but the readings are known; a missing reading stays NaN."""
+    """Return the rows that are complete except for readings. Missing readings stay NaN."""
     columns = samples.columns
     keep = np.ones(len(samples.rows), dtype=bool)
     for names, values in (
@@ -80,7 +84,7 @@ def _check_values(samples: Samples, notices: list[str]) -> Samples:
 
 
 def _check_times(samples: Samples, notices: list[str]) -> Samples:
-    """Return the samples with increasing times and without repeated rows; LogError if that is impossible."""
+    """Return samples with increasing times and no repeated rows. Raise LogError if the clock is unusable."""
     time = samples.time
     if time is None:
         return samples
@@ -111,14 +115,14 @@ def _check_times(samples: Samples, notices: list[str]) -> Samples:
 
 
 def contiguous(time: Floats) -> list[slice]:
-    """Return the parts of times between their gaps."""
+    """Return one slice per section without gaps."""
     step = np.diff(time)
     edges = [0, *(np.flatnonzero(step > GAP * np.median(step)) + 1).tolist(), len(time)]
     return [slice(first, last) for first, last in pairwise(edges)]
 
 
 def _check_channels(samples: Samples, range_count: tuple[float, float] | None, notices: list[str]) -> Samples:
-    """Return the samples without the few readings at an end of the range."""
+    """Return the samples with saturated readings set to NaN, or raise LogError if a channel is unusable."""
     raw = samples.raw.copy()
     low, high = range_count or (-np.inf, np.inf)
     for name, column in zip(samples.channels, raw.T, strict=True):
@@ -168,10 +172,10 @@ def _same_as_before(samples: Samples) -> NDArray[np.bool_]:
 
 
 def _check_acceleration(samples: Samples) -> None:
-    """Raise LogError if accelerations cannot be in the unit that was given."""
+    """Raise LogError if the accelerations at rest do not match gravity in the specified unit."""
     size = np.linalg.norm(np.clip(samples.acceleration, -LARGEST, LARGEST), axis=1)
     felt = float(np.median(size))
-    # The acceleration of a swinging limb differs more from gravity; units differ by a factor of 9.8 or more.
+    # A swinging limb has larger accelerations. Wrong units differ by a factor of at least 9.8.
     wide = 0.5 if samples.angular_velocity is not None else 0.2
     if 1.0 - wide < felt / GRAVITY < 1.0 + wide:
         return
@@ -184,11 +188,11 @@ def _check_acceleration(samples: Samples) -> None:
 
 
 def _check_spin(samples: Samples) -> None:
-    """Raise LogError if a gyroscope has other units or signs than gravity's turning requires.
+    """Raise LogError if the units or signs of a gyroscope do not match the rotation of gravity.
 
-    In the frame of the limb gravity turns by dg/dt = -w x g. If units and signs agree, the regression of its
-    change on the integral of the right side has the slope 1. An IMU at an arm p from the axis measures an
-    additional acceleration K p, which is fitted as well.
+    In the frame of the limb, gravity changes by dg/dt = -w x g. If units and signs agree, the regression of
+    its change on the integral of the right-hand side has a slope of 1. An IMU with a lever arm p from the
+    axis measures an additional acceleration K p, which is also fitted.
     """
     spin, time = samples.angular_velocity, samples.time
     if spin is None or time is None:

@@ -1,7 +1,8 @@
-"""Films of episodes: one, or two walkers side by side, with the centre of pressure under their feet.
+"""Record videos of episodes: one robot, or several side by side, with the centre of pressure (CoP).
 
-Left on drifting raw readings, right on calibrated ones. Below, the soles from above, a foot that bears weight
-filled: a black dot is the true centre of pressure, a coloured one that which the controller is given.
+A typical video compares a walk with drifting raw readings and a walk with calibrated ones. Below each robot
+is a view of its soles from above. Feet that carry weight are filled. A black dot is the true CoP, and a
+coloured dot is the CoP fed to the controller.
 """
 
 import os
@@ -22,53 +23,61 @@ from surefoot.experiments.study.figures import look_of
 from surefoot.experiments.walks.loop import Walk
 from surefoot.files import atomic_path
 
-FILM, STILL = "walk.mp4", "walk.png"  # of two walks, in a study's folder
+FILM, STILL = "walk.mp4", "walk.png"  # video and picture of two walks in a study's folder
 FRAMES_PER_SECOND = 16
 ANIMATIONS = (".webp", ".gif")
 WIDTH, HEIGHT, BELOW = 480, 352, 176
-SIZE = {"width": WIDTH, "height": HEIGHT}  # options of an environment that draws
-AFTER_FALL = 4  # pictures after a fall that the still is of
-FIRST_MOMENT = 3.0  # time in s at which a film begins: before it the robot stands
+SIZE = {"width": WIDTH, "height": HEIGHT}  # rendering options of an environment
+AFTER_FALL = 4  # number of frames between a fall and the still picture
+FIRST_MOMENT = 3.0  # time in s at which the video starts; the robot stands before
 PIXELS_PER_METRE = 700  # scale of the view from above
-OVERSAMPLING = 2  # the view from above is drawn larger by this factor and made smaller, for smooth edges
+OVERSAMPLING = 2  # factor by which the view from above is drawn larger and then reduced, for smooth edges
 
 
 class Reel(NamedTuple):
-    """One episode on film: its pictures, each of shape (height, width, 3), and whether the last is a fall."""
+    """Video of one episode: frames of shape (height, width, 3), and whether the robot falls at the end."""
 
     frames: list[NDArray[np.uint8]]
     fell: bool
 
 
 def prepare_rendering() -> None:
-    """Choose a way to draw without a screen, unless someone has chosen or there is a screen.
+    """Select offscreen rendering if there is no screen and the user has not selected a backend.
 
-    To be called before MuJoCo draws first. Where EGL is missing nothing is chosen: MuJoCo cannot even be
-    imported by a process that is told to use a missing one.
+    Call this before MuJoCo renders for the first time. If EGL is missing, nothing is selected, because MuJoCo
+    cannot be imported with a backend that does not exist.
     """
     if sys.platform == "linux" and not _has_screen() and find_library("EGL"):
         os.environ.setdefault("MUJOCO_GL", "egl")
 
 
 def shoot(steps: Iterable[EpisodeStep], feed: str, begin: float = 0.0, title: str = "") -> Reel:
-    """Film an episode whose environment draws, from a time in s on, under a title, by default its feed.
+    """Record an episode of an environment that renders.
 
-    Raises OSError if nothing can be drawn, ValueError if it is refused, or ends before the film begins.
+    Args:
+        steps: Steps of the episode.
+        feed: Feed of the controller.
+        begin: Time in s at which the video starts.
+        title: Title of the video, by default the name of the feed.
+
+    Raises:
+        OSError: If rendering fails.
+        ValueError: If the episode is invalid, or ends before the video starts.
     """
     frames, fell = [], False
     try:
         for k, step in enumerate(steps):
             bare: Any = step.feet.unwrapped
             quality, fell = bare.model.vis.quality, step.fell
-            # Shadows take a software renderer ten times as long as all the rest.
+            # With a software renderer, shadows take ten times as long as everything else.
             quality.shadowsize, quality.offsamples = 0, 4
             dt = step.time / len(step.feet.fed)
             shown = k % max(round(1.0 / (dt * FRAMES_PER_SECOND)), 1) == 0 and step.time > begin
             if shown or fell:
                 frames.append(_sheet(feed, step, title))
     except ValueError:
-        raise  # An episode that is refused is no fault of the driver.
-    except Exception as error:  # Drivers fail in as many ways as there are drivers.
+        raise  # An invalid episode is not an error of the driver.
+    except Exception as error:  # The type of the exception depends on the OpenGL driver.
         reason = (str(error).splitlines() or [""])[0]
         raise OSError(
             f"nothing can be drawn here ({type(error).__name__}: {reason}); install an OpenGL driver such as "
@@ -80,13 +89,13 @@ def shoot(steps: Iterable[EpisodeStep], feed: str, begin: float = 0.0, title: st
 
 
 def shoot_walk(walk: Walk) -> Reel:
-    """Film a walk from the end of its standing on; errors as of :func:`shoot`."""
+    """Record a walk, starting after its standing phase. Raises the errors of :func:`shoot`."""
     prepare_rendering()
     return shoot(walk.steps(render_mode="rgb_array", **SIZE), walk.feed, FIRST_MOMENT)
 
 
 def join_reels(folder: Path, *reels: Reel) -> None:
-    """Set walks side by side in :data:`FILM`; :data:`STILL` is from the first fall, or from half way."""
+    """Write walks side by side to :data:`FILM`, and one frame (first fall or middle) to :data:`STILL`."""
     frames = _side_by_side(reels)
     falls = [len(reel.frames) + AFTER_FALL for reel in reels if reel.fell]
     shown = min(falls, default=len(frames) // 2)
@@ -96,14 +105,21 @@ def join_reels(folder: Path, *reels: Reel) -> None:
 
 
 def film_walks(path: Path, feeds: Sequence[str], **walk: Any) -> Path:
-    """Film the same walk on one or more feeds side by side into a file; fields as of :class:`Walk`."""
+    """Record the same walk with one or more feeds side by side. ``walk`` contains fields of :class:`Walk`."""
     return write_film(path, _side_by_side([shoot_walk(Walk(feed, **walk)) for feed in feeds]))
 
 
 def watch_walk(feed: str, **walk: Any) -> None:
-    """Show a walk, with fields as of :class:`Walk`, in a window; raise OSError without a screen.
+    """Show a walk in a window.
 
-    Dots on the ground are the true centre of pressure (black) and the fed one, in its feed's colour.
+    Dots on the ground are the true CoP (black) and the CoP fed to the controller (in the colour of the feed).
+
+    Args:
+        feed: Feed of the controller.
+        walk: Fields of :class:`Walk`.
+
+    Raises:
+        OSError: If there is no screen.
     """
     if sys.platform == "linux" and not _has_screen():
         raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
@@ -117,12 +133,12 @@ def watch_walk(feed: str, **walk: Any) -> None:
 
 
 def film_stage(path: Path, stage: Stage, feed: str, seed: int, title: str) -> Path:
-    """Film an episode of an evaluation as .mp4; its environment draws. Errors as of :func:`shoot`."""
+    """Record an episode of an evaluation whose environment renders. Raises the errors of :func:`shoot`."""
     return write_film(path, shoot(stage.steps(seed), feed, title=title).frames)
 
 
 def write_film(path: Path, frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8]) -> Path:
-    """Write pictures (height, width, 3) to an .mp4, or every other one to an animated .webp or .gif."""
+    """Write frames (height, width, 3) to an .mp4, or every second frame to an animated .webp or .gif."""
     with atomic_path(path) as part:
         if path.suffix in ANIMATIONS:
             stills = [Image.fromarray(frame) for frame in frames[::2]]
@@ -143,13 +159,13 @@ def _has_screen() -> bool:
 
 
 def _side_by_side(reels: Sequence[Reel]) -> list[NDArray[np.uint8]]:
-    """Join walks; one that has ended shows its last picture on."""
+    """Join walks side by side. A walk that has ended continues to show its last frame."""
     count = max(len(reel.frames) for reel in reels)
     return [np.hstack([reel.frames[min(k, len(reel.frames) - 1)] for reel in reels]) for k in range(count)]
 
 
 def _sheet(feed: str, step: EpisodeStep, title: str) -> NDArray[np.uint8]:
-    """Put the walker, a title with the time, and the view from above on one sheet."""
+    """Draw one frame with the robot, a title with the time, and the view from above."""
     sheet, look = Image.new("RGB", (WIDTH, HEIGHT + BELOW), "white"), look_of(feed)
     bare: Any = step.feet.unwrapped
     sheet.paste(Image.fromarray(bare.render()).resize((WIDTH, HEIGHT)), (0, 0))
@@ -169,7 +185,7 @@ def _sheet(feed: str, step: EpisodeStep, title: str) -> NDArray[np.uint8]:
 
 
 def _from_above(feed: str, step: EpisodeStep) -> Image.Image:
-    """Draw soles and centres of pressure, forward to the right and left upwards, moving with the robot."""
+    """Draw the soles and the CoP from above. Forward is to the right, and the view follows the robot."""
     size = np.array([WIDTH, BELOW]) * OVERSAMPLING
     scale = PIXELS_PER_METRE * OVERSAMPLING
     truth, drawing = step.feet.source.truth, step.feet.source.drawing

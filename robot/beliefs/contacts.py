@@ -1,8 +1,8 @@
-"""Which feet surely stood, or surely swung, at the moment of a reference.
+"""Determine which feet were certainly in stance or in swing at the time of a reference.
 
-A robot that plans its steps knows; one whose policy plans nothing finds out by its own kinematics: the foot
-with the lowest part is on the ground, unless the robot is falling freely, and a foot of which every part is
-clearly above that is in the air.
+If the robot plans its steps, the contacts follow from the plan. Otherwise they follow from kinematics: the
+foot with the lowest part is on the ground, unless the robot is in free fall. A foot is in the air if all its
+parts are clearly higher.
 """
 
 from collections import deque
@@ -14,53 +14,55 @@ from numpy.typing import NDArray
 from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, Reference
 
-FREE_FALL = 0.5  # specific force as a share of gravity below which a robot falls freely
+FREE_FALL = 0.5  # specific force as a fraction of gravity below which a robot is in free fall
 
 CONTACT_MARGIN = 4
-"""Samples by which a planned stance or swing must hold before and after one to be sure of it: joints follow
-their targets late, and feet land when the ground comes."""
+"""Samples before and after a moment during which a planned stance or swing must last to be certain. Joints
+lag behind their targets, and the ground may be higher or lower than planned."""
 
 LIFTED = 0.01
-"""Height in m of a foot's lowest part above the lower foot's from which it is surely in the air: ten times
-what encoders that are off by 1e-3 rad make of a leg of a metre."""
+"""Height in m of a foot's lowest part above that of the lower foot, above which the foot is in the air. It is
+ten times the error of a one-metre leg with an encoder error of 1e-3 rad."""
 
-DOWN = 0.003  # the same height up to which a foot is down
-FLAT = 0.03  # slope of a sole in rad beyond which the foot is rolling, and its height says little
-COS_FLAT = 1.0 - 0.5 * FLAT * FLAT  # its cosine, to second order
+DOWN = 0.003  # the same height, up to which a foot is on the ground
+FLAT = 0.03  # sole tilt in rad above which the foot is rolling and its height is not used
+COS_FLAT = 1.0 - 0.5 * FLAT * FLAT  # cosine of FLAT, to second order
 
 
 def plan_window(lag: int) -> tuple[int, int]:
-    """Return for how many samples a plan must have held, and how many of them are kept.
+    """Return how long a planned contact must last to be certain, and how many samples to store.
 
     Args:
-        lag: How many samples ago a reference was.
+        lag: Age of a reference in samples.
 
     Returns:
-        Samples that it must have held, and samples for which it is kept in mind how long it had.
+        Samples for which a stance or swing must have been planned, and number of samples whose durations of
+        planned contacts are stored.
     """
     return CONTACT_MARGIN + 1 + min(CONTACT_MARGIN, lag), max(lag - CONTACT_MARGIN, 0) + 1
 
 
-LEANING = 0.4  # mean acceleration as a share of gravity from which a robot falls
+LEANING = 0.4  # mean acceleration, as a fraction of gravity, above which a robot is falling
 
-LEAN_TIME = 0.25  # time constant in s of that mean, longer than a push or a landing
+LEAN_TIME = 0.25  # time constant in s of that mean; longer than a push or a landing
 
 STEEPEST = 0.4
-"""Sine of the slope that the soles show above which the robot does not stand on them but lies. Robots do not
-walk on slopes of more than 20 degrees."""
+"""Sine of the slope of the soles above which the robot is lying, not standing. Robots do not walk on slopes
+of more than 20 degrees."""
 
 COS_STEEPEST = sqrt(1.0 - STEEPEST**2)
 
 LOWEST = 0.7
-"""Height of the centre of mass above the lower sole, as a share of the highest in this episode, below which a
-robot may rest on more than its feet."""
+"""Height of the centre of mass above the lower sole, as a fraction of its maximum in this episode, below
+which parts other than the feet may carry load."""
 
 
 class Plan:
-    """Finds which of F feet surely stood, or surely swung, ``lag`` samples ago, by the plan.
+    """Determines from the plan which of F feet were certainly in stance or in swing ``lag`` samples ago.
 
     Attributes:
-        runs: For how many samples each foot was planned to stand and to swing, (2 F), of each sample kept.
+        runs: One list of 2 F numbers per stored sample: for how many samples each foot had been planned to be
+            in stance, and in swing.
     """
 
     def __init__(self, lag: int, feet: int = 2) -> None:
@@ -70,9 +72,14 @@ class Plan:
     def at(
         self, stance: NDArray[np.bool_], swing: NDArray[np.bool_]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Take in feet planned to stand and to swing now, and return those that surely did so then.
+        """Store the planned contacts of this sample, and return the certain ones of ``lag`` samples ago.
 
-        All have shape (F,); then is ``lag`` samples ago.
+        Args:
+            stance: Feet planned to be in stance now, shape (F,).
+            swing: Feet planned to be in swing now, shape (F,).
+
+        Returns:
+            Feet that were certainly in stance, and feet that were certainly in swing, shape (F,) each.
         """
         planned = [*stance.tolist(), *swing.tolist()]
         self.runs.append([run + 1 if held else 0 for run, held in zip(self.runs[-1], planned, strict=True)])
@@ -80,35 +87,41 @@ class Plan:
 
 
 class Kinematics:
-    """Finds which feet surely stood, or surely swung, by where they were.
+    """Determines from kinematics which feet were certainly in stance or in swing.
 
-    Parts of a foot that may touch are centres in its sole frame and radii in m, shape (F, n, 4). Round feet
-    roll: they stand on any of their sides. Gravity is in m/s^2.
+    Args:
+        touching: Parts of each foot that may touch the ground: centres in the sole frames and radii in m,
+            shape (F, n, 4).
+        rolls: Whether the feet are round and can stand on any of their sides.
+        gravity: Acceleration of free fall in m/s^2.
 
     Attributes:
-        runs: For how many samples each foot has stood, and has swung, (2 F).
+        runs: For how many samples each foot has been in stance, and in swing, 2 F numbers.
     """
 
     def __init__(self, touching: Floats, rolls: bool = False, gravity: float = GRAVITY) -> None:
         self._places, self._radius = touching[..., :3], touching[..., 3]
         self._free_fall, self._rolls = FREE_FALL * gravity, rolls
-        # A soft round foot that bears load is pressed flat by no more than its radius.
+        # Load compresses a soft round foot by at most its radius.
         self._lifted = np.maximum(LIFTED, self._radius.max(axis=1))
         self.runs = [0] * (2 * len(touching))
 
     def at(self, reference: Reference, ground: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Take in the robot's beliefs of one moment, and return which feet surely stood or swung then.
+        """Process one sample, and return which feet were certainly in stance and in swing, shape (F,) each.
 
-        Those have shape (F,). Samples follow each other, and a foot's state has to have been the same for
-        :data:`CONTACT_MARGIN` of them. Heights are measured along the normal of the ground, shape (3,).
+        A contact is certain if it has lasted for more than :data:`CONTACT_MARGIN` consecutive samples.
+
+        Args:
+            reference: The state estimate of this sample.
+            ground: Normal of the ground, along which heights are measured, shape (3,).
         """
-        # A foot on its toes or on an edge bears load, wherever the middle of its sole is.
+        # Use the lowest part: a foot on its toes or on an edge carries load although its centre is higher.
         normal = ground @ reference.R_level_sole
         arm = np.einsum("fi,fni->fn", normal, self._places) - self._radius
         height = reference.position_sole @ ground + arm.min(axis=1)
         flat = self._rolls | (normal[:, 2] > COS_FLAT)
         fx, fy, fz = reference.accelerometer.tolist()
-        # NaN, where nothing is known yet, compares as false.
+        # Comparisons with NaN (state unknown) are false.
         carried = fx * fx + fy * fy + fz * fz > self._free_fall**2
         above = height - height.min()
         seen = [*(carried & flat & (above < DOWN)).tolist(), *(carried & (above > self._lifted)).tolist()]
@@ -117,24 +130,26 @@ class Kinematics:
 
 
 def _halves(sure: list[bool]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Split a row into F feet that surely stand and F that surely swing."""
+    """Split a list of 2 F flags into those for stance and those for swing."""
     feet = len(sure) // 2
     return np.array(sure[:feet]), np.array(sure[feet:])
 
 
 class Upright:
-    """Finds whether a robot stands, walks or runs: only then do its feet carry all of it.
+    """Detects whether a robot is upright (stands, walks or runs), so that only its feet carry load.
 
-    A robot that lies or sits rests on more than its soles, so that its weight and motion do not determine the
-    load of its feet. Its soles lean far or its centre of mass is low. The mean acceleration of a robot that
-    falls is large.
+    A robot that lies or sits also rests on other parts, so its weight and motion do not determine the load of
+    its feet. In that case its soles are steep or its centre of mass is low. A falling robot has a large mean
+    acceleration.
 
-    Samples are ``dt`` s apart, and gravity is in m/s^2.
+    Args:
+        dt: Time between samples in s.
+        gravity: Acceleration of free fall in m/s^2.
 
     Attributes:
-        fell: Whether it was upright until the last moment, and no longer at it.
-        upright: Whether it was upright then.
-        lean: Its mean acceleration in m/s^2.
+        fell: Whether the robot was upright before the last sample and is not any more.
+        upright: Whether the robot was upright at the last valid sample.
+        lean: Low-pass filtered acceleration of the centre of mass in m/s^2.
         highest: Greatest height of the centre of mass above the lower sole in this episode in m.
     """
 
@@ -146,9 +161,13 @@ class Upright:
         self.upright = self.fell = False
 
     def at(self, reference: Reference, ground: Floats) -> bool:
-        """Take in the robot's beliefs of one moment, and return whether it was upright then.
+        """Process one sample, and return whether the robot was upright.
 
-        Samples follow each other. NaN, where nothing is known, passes. The ground's normal has shape (3,).
+        Samples must be consecutive. An unknown state (NaN) counts as upright.
+
+        Args:
+            reference: The state estimate of this sample.
+            ground: Normal of the ground, shape (3,).
         """
         x, y, z = reference.com_acceleration.tolist()
         self.fell = False

@@ -1,4 +1,4 @@
-"""The beliefs of one robot by the library: the same numbers as those of Python, to rounding."""
+"""State estimate of one robot by the C library, equal to the Python estimate up to rounding."""
 
 from copy import copy
 from typing import Any, TypeVar
@@ -18,19 +18,23 @@ from surefoot.robot.beliefs.references import Beliefs
 from surefoot.robot.beliefs.strapdown import StrapdownConstants
 from surefoot.sensors.transport.link import Packets
 
-AT_ONCE = 8  # packets that are handed over together
+AT_ONCE = 8  # packets that are passed to the library in one call
 
 PythonBeliefs = TypeVar("PythonBeliefs", bound=Beliefs | MomentumBeliefs)
 
 
 class NativeBeliefs:
-    """The library for one robot, of which there is a Python object, and which begins an episode.
+    """State estimate of one robot by the C library, at the start of an episode.
+
+    Args:
+        library: The library that computes the estimate.
+        believed: The Python estimator of the robot.
 
     Attributes:
-        believed: The result of the last :meth:`sample`; the next one overwrites it.
+        believed: The result of the last :meth:`sample`. The next call overwrites it.
 
     Raises:
-        ValueError: If the library is not made for such a robot; docs/native.md has its limits.
+        ValueError: If the library does not support the robot. docs/native.md lists its limits.
     """
 
     def __init__(self, library: Library, believed: Beliefs | MomentumBeliefs) -> None:
@@ -60,18 +64,18 @@ class NativeBeliefs:
         self.begin_episode()
 
     def begin_episode(self) -> "NativeBeliefs":
-        """Go on at an episode's start; as :meth:`Beliefs.begin_episode`, but in place."""
+        """Reset the estimator in place for a new episode, and return it."""
         self._functions.surefoot_beliefs_init(self._momentum, self._addresses[1])
         self.believed.fill(unknown(self.feet) if self._momentum else nothing(self.feet))
         return self
 
     def keep_up(self) -> None:
-        """Take over the model's masses if they have changed."""
+        """Copy the nominal model to the library if its masses have changed."""
         if self.model.revision != self._revision:
             self._adopt()
 
     def _adopt(self) -> None:
-        """Take over the model."""
+        """Copy the nominal model to the library."""
         tree, library = self.model.tree(), self.library
         sizes = {} if tree is None else {"bodies": len(tree["mass"]), "hinges": len(tree["axis"])}
         model = None if tree is None else library.record_of("model", {**sizes, **tree})
@@ -86,11 +90,11 @@ class NativeBeliefs:
         self._revision = self.model.revision
         if self._model is None:
             self._model, self._tree = model, model.ctypes.data
-        self._model[...] = model  # in place: others know its address
+        self._model[...] = model  # in place, because its address is already in use
 
     @property
     def constants(self) -> dict[str, NDArray[Any]]:
-        """The records of the robot by the names that they have in headers: model and timing."""
+        """The constant records of the robot, under their names in C headers: model and timing."""
         assert self._model is not None
         return {"model": self._model, "timing": self._timing}
 
@@ -108,7 +112,7 @@ class NativeBeliefs:
             )
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
-        """As :meth:`Beliefs.sample`; :attr:`believed` is filled in place."""
+        """Update :attr:`believed` in place, with arguments and result of :meth:`Beliefs.sample`."""
         timing, state, _, planned, _ = self._addresses
         plan = planned if self.plan(command) else None
         found = self._functions.surefoot_beliefs_sample(
@@ -117,13 +121,13 @@ class NativeBeliefs:
         return bool(found & 1)
 
     def parts(self) -> dict[str, Any]:
-        """Return its records by their names in ``sf_sample_records``."""
+        """Return the records under their names in ``sf_sample_records``."""
         self.keep_up()
         records = {**self.constants, "beliefs": self._state, "planned": self._planned}
         return {**records, "momentum": self._momentum, "belief": self.believed}
 
     def plan(self, command: Any) -> bool:
-        """Put a plan where the library finds it; return whether there is one."""
+        """Copy a plan to the memory that the library reads, and return whether the command contains one."""
         if command is None:
             return False
         self._stance[...], self._swing[...] = command.stance, command.swing
@@ -131,34 +135,34 @@ class NativeBeliefs:
 
     @property
     def known(self) -> bool:
-        """Whether anything is believed."""
+        """Whether the last estimate is valid."""
         return self.believed.known
 
     @property
     def standing(self) -> bool:
-        """Whether a foot surely stood."""
+        """Whether at least one foot was certainly in stance."""
         return self.believed.standing
 
     def info(self) -> dict[str, Any]:
-        """As :meth:`Beliefs.info`."""
+        """Return the last estimate for ``info``, as :meth:`Beliefs.info`."""
         return reference_info(self.believed.reference())
 
     def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
-        """As :meth:`Beliefs.reference`."""
+        """Return the estimated motion at a time, as :meth:`Beliefs.reference`."""
         timing, state, _, _, _ = self._addresses
         self._functions.surefoot_beliefs_reference(timing, state, time, self._other.address)
         found: Reference = self._other.reference()._replace(stance=stance, swing=swing)
         return found
 
     def momentum(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> MomentumReference:
-        """As :meth:`MomentumBeliefs.momentum`."""
+        """Return the estimated momentum at a time, as :meth:`MomentumBeliefs.momentum`."""
         timing, state, _, _, _ = self._addresses
         self._functions.surefoot_beliefs_momentum(timing, state, time, self._moved.address)
         found: MomentumReference = self._moved.reference()._replace(stance=stance, swing=swing)
         return found
 
     def soles(self, time: float) -> Floats:
-        """As :meth:`Beliefs.soles`."""
+        """Return the predicted poses of the soles, as :meth:`Beliefs.soles`."""
         timing, state, _, _, soles = self._addresses
         self._functions.surefoot_beliefs_soles(timing, state, time, soles)
         return self._soles.astype(np.float64)
@@ -168,13 +172,13 @@ class NativeBeliefs:
         return _going_on, (made, self._spec, self._momentum, self._state.tobytes(), *map(np.copy, told))
 
     def take(self, state: bytes, believed: NDArray[Any], planned: NDArray[np.bool_]) -> None:
-        """Go on from another one's numbers."""
+        """Restore the state of another instance."""
         self._state[:] = np.frombuffer(state, np.uint8)
         self.believed.now[...], self._planned[:] = believed, planned
 
 
 def _without_rows(beliefs: Any) -> Any:
-    """Return beliefs to begin episodes of, without the memory of an episode."""
+    """Return a copy from which episodes can start, without the stored rows of the current episode."""
     bare = copy(beliefs)
     bare.ring = None
     if isinstance(bare, MomentumBeliefs):
@@ -183,7 +187,7 @@ def _without_rows(beliefs: Any) -> Any:
 
 
 def _going_on(made: Made, spec: Any, momentum: bool, state: bytes, *told: NDArray[Any]) -> NativeBeliefs:
-    """Return a copy of beliefs, in the library whose records are those of these bytes."""
+    """Restore a pickled estimate in a library built from the same sources."""
     rooms = CALIBRATION.rooms() or (require(None),)
     library = next((one for one in rooms if one.source == made.mark), None)
     if library is None:
@@ -194,9 +198,10 @@ def _going_on(made: Made, spec: Any, momentum: bool, state: bytes, *told: NDArra
 
 
 def native_beliefs(beliefs: PythonBeliefs, library: Library | None = None) -> PythonBeliefs | NativeBeliefs:
-    """Return beliefs by a library that begin an episode, or as they are where there is none for such a robot.
+    """Return a native estimator at an episode's start, or the Python one if the robot is not supported.
 
-    The library is that of the robot's calibrator, or the one with room for all; the Python's are used up.
+    Pass the library of the robot's calibrator. The default is the installed library for robots of any
+    supported size. Do not use the Python estimator after it has been replaced.
     """
     library = library or CALIBRATION.installed()
     if library is None or library.real != np.float64:
@@ -208,11 +213,11 @@ def native_beliefs(beliefs: PythonBeliefs, library: Library | None = None) -> Py
 
 
 def c_source(beliefs: Beliefs | MomentumBeliefs) -> str:
-    """Return a header with one robot's ``sf_model model`` and ``sf_timing timing``, for its controller.
+    """Return a C header for the robot's controller with ``sf_model model`` and ``sf_timing timing``.
 
     Raises:
-        RuntimeError: If there is no library here.
-        ValueError: If the library is not made for such a robot.
+        RuntimeError: If the library is not installed.
+        ValueError: If the library does not support the robot.
     """
     native = NativeBeliefs(require(CALIBRATION.installed()), beliefs)
     model, timing = native.constants.values()

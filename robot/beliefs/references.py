@@ -1,21 +1,23 @@
-"""A robot's knowledge of its own motion without its feet's sensors, on their timeline.
+"""Estimate a robot's motion without its foot sensors, at the sample times of these sensors.
 
-Encoders and IMU come at 100 Hz or faster, numbered and late with jitter. Single packets that were lost are
-filled in by linear interpolation, and packets of a faster link are joined into one of 10 ms, with the mean
-of the IMU and the last angles. The mean delay is known and subtracted. The numbers are the robot's own even
-clock, so that the jitter averages out. Between two packets n-1 and n, at their middle, the nominal model
-gives the centre of mass c, the soles and the angular momentum L from the mean and the difference of both
-encoder readings, and the attitude filter (:mod:`surefoot.robot.beliefs.strapdown`) gives the rotation R of
-the torso. With the specific force f, less its believed bias, and the place p_imu of the IMU,
+Packets with encoder and IMU data arrive at 100 Hz or faster. They are numbered, delayed and subject to
+jitter. Single lost packets are filled in by linear interpolation. Packets of a faster link are joined into
+one packet per 10 ms, with the mean of the IMU and the last joint angles. The mean delay is known and
+subtracted. The packet numbers are an even clock, so the jitter averages out.
+
+All quantities refer to the midpoint between two packets n-1 and n. The nominal model computes the centre of
+mass c, the soles and the angular momentum L from the mean and the difference of both encoder readings. The
+attitude filter (:mod:`surefoot.robot.beliefs.strapdown`) computes the rotation R of the torso. With the
+specific force f, corrected by its estimated bias, and the position p_imu of the IMU,
 
     c'' = R f - g e_z + d^2/dt^2 [ R (c - p_imu) ],        L' = d/dt [ R L ]
 
-in level axes whose heading follows the gyroscope (*odometry* axes). Differences are centred, so that they
-delay nothing. The results are kept, and interpolated linearly at the times of the feet's samples, some
-samples ago (``lag``), when the packets that are needed have come.
+in level axes whose heading follows the gyroscope (*odometry* axes). Differences are centred, so they add no
+delay. The results are stored. Once the required packets have arrived, they are interpolated linearly at the
+time of an earlier foot sample, ``lag`` samples ago.
 
-An error of the tilt does little harm to these accelerations: the ground's force points along f from the
-centre of mass, whatever way is up, so that in Eqs. 10 and 11 a common tilt cancels to first order.
+These accelerations are not sensitive to tilt errors. The ground reaction force points along f from the centre
+of mass, whichever way is up, so a common tilt cancels to first order in Eqs. 10 and 11.
 """
 
 from collections.abc import Iterator
@@ -36,51 +38,52 @@ from surefoot.robot.beliefs.strapdown import Strapdown
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet, Packets
 
-SLOPE = 3  # packets over which the soles' velocities are taken
-FURTHEST = 8.0  # how many packets ahead soles are assumed to keep their velocities
+SLOPE = 3  # packets over which the velocities of the soles are measured
+FURTHEST = 8.0  # largest number of packets over which the soles are extrapolated at constant velocity
 
 CLOCK_MEMORY = 256
-"""Packets over which arrival times are averaged to find the robot's clock on the host's."""
+"""Packets over which arrival times are averaged to synchronise the robot's clock with that of the host."""
 
 LARGEST_VALUE = 1e3
-"""Largest number in rad, rad/s or m/s^2 that a packet may hold. Beyond it, or with NaN, it counts as lost."""
+"""Largest value in rad, rad/s or m/s^2 of a packet. A packet with larger values or NaN counts as lost."""
 
 FILLED_TIME = 0.1
-"""Longest gap in s that is filled in by interpolation: a tenth of a stride, over which joints and gyroscope
-change almost evenly. Over a longer gap the attitude is kept, and becomes uncertain."""
+"""Longest gap in s that is filled in by interpolation: a tenth of a stride, in which joint angles and angular
+velocity change almost linearly. Over a longer gap the attitude is kept, and its covariance increases."""
 
 COM, IMU = 0, 1
-"""Rows of every :class:`Rows` that do not depend on the number of feet."""
+"""Indices of the first two vectors of a row, which are the same for any number of feet."""
 
 
 class Rows(NamedTuple):
-    """Which vectors of three a row holds, of a robot on F feet, in odometry axes from the torso's origin.
+    """Layout of a stored row of 3-vectors for a robot with F feet, in odometry axes from the torso's origin.
 
-    The centre of mass and the IMU in m are the first two; the others follow.
+    The first two vectors are the positions of the centre of mass and the IMU in m. The fields are the indices
+    of the others.
     """
 
-    soles: slice  # places of the soles in m
+    soles: slice  # positions of the soles in m
     axes: slice  # the soles' axes x, y and z
     momentum: int  # angular momentum about the centre of mass in kg m^2/s
     force: int  # specific force in m/s^2
-    acceleration: int  # of the centre of mass in m/s^2, which follows from the row's neighbours in time
-    momentum_rate: int  # in N m, likewise
+    acceleration: int  # of the centre of mass in m/s^2, computed from the neighbouring rows in time
+    momentum_rate: int  # in N m, computed in the same way
     ground: int  # normal of the ground
-    accelerometer: int  # the measurement, in the IMU's own axes, in m/s^2
-    gyroscope: int  # likewise, in rad/s
-    width: int  # number of the vectors
+    accelerometer: int  # measurement in the axes of the IMU in m/s^2
+    gyroscope: int  # measurement in the axes of the IMU in rad/s
+    width: int  # number of vectors per row
 
     @classmethod
     def of(cls, feet: int) -> "Rows":
-        """Return those of a robot on so many feet."""
+        """Return the layout for a robot with this number of feet."""
         own = 2 + 4 * feet
         return cls(slice(2, 2 + feet), slice(2 + feet, own), *range(own, own + 8))
 
 
 class Posture(NamedTuple):
-    """The robot at the middle between two packets, in the torso's axes, from its origin.
+    """The robot midway between two packets, in the torso's axes and from its origin.
 
-    Its arrays are the model's own, until that evaluates another one.
+    The arrays belong to the model, whose next evaluation overwrites them.
     """
 
     com: Floats  # centre of mass in m, shape (3,)
@@ -88,51 +91,51 @@ class Posture(NamedTuple):
     sites: Floats  # IMU and soles in m, shape (1 + F, 3)
     axes: Floats  # the soles' axes x, y and z, shape (3 F, 3)
     com_velocity: Floats  # velocity of the centre of mass relative to the torso in m/s, shape (3,)
-    twist: Floats  # angular velocities and velocities of IMU and soles relative to it, shape (1 + F, 6)
+    twist: Floats  # angular velocities and velocities of IMU and soles, relative to the torso, (1 + F, 6)
     R: Floats  # rotation from the torso's to the level axes, shape (3, 3)
-    velocity: Floats  # of the IMU in level axes in m/s, shape (3,)
+    velocity: Floats  # velocity of the IMU in level axes in m/s, shape (3,)
 
 
 class Beliefs(Believed):
-    """Makes references of telemetry, on the timeline of the feet's samples.
+    """Computes references from telemetry at the sample times of the foot sensors.
 
     Args:
-        model: The robot as it believes itself to be.
+        model: Nominal model of the robot.
         layout: Columns of a packet.
         period: Time between packets in s.
-        delay: Mean delay of the link in s, as the robot knows it.
-        averaged: Whether a sample of the IMU is the mean since the sample before.
-        lag: How many samples of the feet ago :meth:`sample` is about.
-        dt: Time between these samples in s.
-        joined: How many packets become one.
-        touching: The parts of each foot that may touch: centres in the sole frames and radii in m, shape
-            (F, n, 4); ``None`` for the soles' origins.
-        rolls: Whether feet are round, so that they stand on any of their sides.
+        delay: Nominal mean delay of the link in s.
+        averaged: Whether an IMU sample is the mean since the previous sample.
+        lag: Age, in foot samples, of the time that :meth:`sample` describes.
+        dt: Time between foot samples in s.
+        joined: Number of packets that are joined into one.
+        touching: Parts of each foot that may touch the ground: centres in the sole frames and radii in m,
+            shape (F, n, 4). ``None`` stands for the origins of the soles.
+        rolls: Whether the feet are round and can stand on any of their sides.
 
     Attributes:
         believed: The result of the last :meth:`sample`.
         layout: Columns of a packet.
         period: Time between joined packets in s.
-        dt: Time between the feet's samples in s.
-        delay: As passed in, like ``averaged``, ``lag`` and ``joined``.
-        feet: Number of the feet, F.
-        rows: Columns of a row.
-        ring: A row for each of the last packets by number, shape (HISTORY, rows.width, 3).
+        dt: Time between foot samples in s.
+        delay: As passed in, as are ``averaged``, ``lag`` and ``joined``.
+        feet: Number of feet, F.
+        rows: Layout of a row.
+        ring: Ring buffer with one row per packet, indexed by number, shape (HISTORY, rows.width, 3).
         ground: Normal of the ground in the axes of the last :meth:`reference`, shape (3,).
-        newest: The last packet as it came, or ``None``.
+        newest: The last packet as received, or ``None``.
         last: The last joined packet, or ``None``.
-        run: Joined packets without a long gap up to it.
-        seen: Packets so far.
-        clock: Time on the host's clock in s at which packet 0 left.
-        touching: The parts of each foot that may touch, shape (F, n, 4).
-        rolls: Whether feet are round.
-        parts: Packets that are being joined so far.
-        sum: Of their IMU.
-        strapdown: The attitude, the velocity and the ground.
-        filled: Longest gap that is filled in, in packets.
-        plan: Contacts by the plan.
-        kinematics: Contacts by kinematics.
-        upright: Whether it is.
+        run: Number of joined packets since the last long gap.
+        seen: Number of joined packets so far.
+        clock: Time in s, on the host's clock, at which packet 0 was sent.
+        touching: Parts of each foot that may touch the ground, shape (F, n, 4).
+        rolls: Whether the feet are round.
+        parts: Number of packets in the group that is being joined.
+        sum: Sum of their IMU measurements.
+        strapdown: Filter for the attitude, the velocity and the ground.
+        filled: Longest gap in packets that is filled in.
+        plan: Contacts from the plan.
+        kinematics: Contacts from kinematics.
+        upright: Detector of whether the robot is upright.
     """
 
     believed: Reference
@@ -177,16 +180,16 @@ class Beliefs(Believed):
         self.believed = nothing(self.feet)
 
     def begin_episode(self) -> "Beliefs":
-        """Return beliefs of the same robot at an episode's start."""
+        """Return a new estimator for the same robot at the start of an episode."""
         return self._begin()
 
     def update(self, packets: Packets) -> None:
-        """Take in packets of telemetry, in order."""
+        """Process telemetry packets in order."""
         for packet in self.join(packets):
             self.take(packet)
 
     def join(self, packets: Packets) -> Iterator[Packet]:
-        """Yield sound packets, with lost ones filled in, and joined as many as they are to be."""
+        """Yield joined packets, after removing invalid packets and filling in lost ones."""
         for packet in packets:
             if np.abs(packet.values).max() <= LARGEST_VALUE:
                 for part in self._fill(packet):
@@ -195,7 +198,7 @@ class Beliefs(Believed):
                         yield whole
 
     def _fill(self, packet: Packet) -> Iterator[Packet]:
-        """Yield a packet after those that were lost before it; nothing for one that comes late or twice."""
+        """Yield the lost packets before a packet, then the packet. Ignore late and repeated packets."""
         if self.newest is not None:
             number, _, values = self.newest
             lost = packet.number - number - 1
@@ -208,7 +211,7 @@ class Beliefs(Believed):
         yield packet
 
     def take(self, packet: Packet) -> Posture | None:
-        """Take in one joined packet; return the posture since the last one, ``None`` if it is not known."""
+        """Process one joined packet. Return the posture between the last packet and this one, or ``None``."""
         self._synchronise(packet)
         before, self.last = self.last, packet
         if before is None or packet.number != before.number + 1:
@@ -227,7 +230,10 @@ class Beliefs(Believed):
         return posture
 
     def _combine(self, packet: Packet) -> Packet | None:
-        """Join packets: a group's last angles and mean IMU; ``None`` before its end, or if one is missing."""
+        """Join a group of packets into one with the last angles and the mean IMU measurements.
+
+        Returns ``None`` before the end of the group, or if one of its packets is missing.
+        """
         if self.joined == 1:
             return packet
         number, part = divmod(packet.number, self.joined)
@@ -248,13 +254,13 @@ class Beliefs(Believed):
         return Packet(number, packet.arrival, values)
 
     def _synchronise(self, packet: Packet) -> None:
-        """Average the packets' lateness: the time on the host's clock at which number 0 left."""
+        """Update the average time, on the host's clock, at which packet 0 was sent."""
         self.seen += 1
         left = packet.arrival - self.delay - packet.number * self.period
         self.clock += (left - self.clock) * max(1.0 / self.seen, 1.0 / CLOCK_MEMORY)
 
     def _find_posture(self, before: Floats, after: Floats) -> Posture:
-        """Find the posture at the middle between two packets."""
+        """Compute the posture midway between two packets."""
         where, period = self.layout, self.period
         start, end = before[where.joint_position], after[where.joint_position]
         if self.averaged:
@@ -269,7 +275,7 @@ class Beliefs(Believed):
         return Posture(com, momentum, sites, axes, com_velocity, twist, R, velocity)
 
     def _keep(self, posture: Posture, number: int) -> None:
-        """Fill the row at the middle between a packet and the one before."""
+        """Store the row midway between a packet and the previous one."""
         force, spin = self._measured
         local, at, strapdown = self._local, self.rows, self.strapdown
         local[COM] = posture.com
@@ -285,7 +291,7 @@ class Beliefs(Believed):
         row[at.gyroscope] = spin
 
     def _differentiate(self, number: int) -> None:
-        """Fill in the rates one middle before a packet's, from its neighbours."""
+        """Compute the rates in the row before that of a packet, from the neighbouring rows."""
         ring, period, at = self.ring, self.period, self.rows
         before, row, after = (ring[(number - i) % HISTORY] for i in (2, 1, 0))
         bent = before + after - 2.0 * row
@@ -295,18 +301,18 @@ class Beliefs(Believed):
         row[at.momentum_rate] = (after[at.momentum] - before[at.momentum]) / (2.0 * period)
 
     def sample(self, time: float, command: Any, hold: bool = False) -> bool:
-        """Find the robot's beliefs for one sample of its feet.
+        """Update :attr:`believed` for one sample of the foot sensors.
 
-        It is NaN while nothing is known, while the robot is not upright, and while it is held.
+        The estimate is NaN while it is unknown, while the robot is not upright, and while ``hold`` is set.
 
         Args:
-            time: The moment that the reference describes in s of the host's clock.
-            command: The present plan, with ``stance`` and ``swing``, shape (F,) each; or ``None`` for a
-                robot that plans nothing, whose contacts are found by kinematics.
-            hold: Whether beliefs are not to be used.
+            time: Time in s, on the host's clock, that the reference describes.
+            command: The current plan, with ``stance`` and ``swing``, shape (F,) each. ``None`` for a robot
+                without a plan, whose contacts are determined from kinematics.
+            hold: Whether the estimate must not be used.
 
         Returns:
-            Whether the robot was upright until this moment, and no longer is.
+            Whether the robot was upright until this time and is not any more.
         """
         fell = self.find(time, command, hold)
         if command is None and self.known:
@@ -315,7 +321,7 @@ class Beliefs(Believed):
         return fell
 
     def find(self, time: float, command: Any, hold: bool) -> bool:
-        """Find beliefs whose contacts are those of the plan, none without one; as :meth:`sample`."""
+        """Update as :meth:`sample` does, but without contacts if there is no plan."""
         nobody = np.zeros(self.feet, dtype=bool)
         contacts = nobody, nobody
         if command is not None:
@@ -330,14 +336,14 @@ class Beliefs(Believed):
         return False
 
     def reference(self, time: float, stance: NDArray[np.bool_], swing: NDArray[np.bool_]) -> Reference:
-        """Return the robot's believed motion at a moment.
+        """Return the robot's estimated motion at a time.
 
-        Before enough packets have come it is NaN, which calibrators know to leave alone.
+        The motion is NaN until enough packets have arrived. Calibrators ignore such references.
 
         Args:
-            time: The moment in s of the host's clock.
-            stance: Feet that are sure to stand then, shape (F,).
-            swing: Feet that are sure to be in the air then, shape (F,).
+            time: Time in s on the host's clock.
+            stance: Feet that are certainly in stance at this time, shape (F,).
+            swing: Feet that are certainly in swing at this time, shape (F,).
         """
         if self.run < 3:
             return nothing(self.feet)._replace(stance=stance, swing=swing)
@@ -359,15 +365,15 @@ class Beliefs(Believed):
         )
 
     def soles(self, time: float) -> Floats:
-        """Return where the soles are at a moment later than the newest packet, at their last velocities.
+        """Extrapolate the poses of the soles beyond the newest packet at constant velocity.
 
         Args:
-            time: The moment in s of the host's clock.
+            time: Time in s on the host's clock.
 
         Returns:
-            Seen from above in the level frame of that moment, the place of each sole (of a round foot its
-            lowest point) in m and its heading, a
-            unit vector: x, y, forward x, forward y of each one, shape (F, 4).
+            Position and heading of each sole in the horizontal plane of the level frame at that time: x and y
+            in m (for a round foot, of its lowest point), and x and y of the unit vector that points forward,
+            shape (F, 4).
         """
         last = self.last
         if last is None or self.run < 1 + SLOPE:
@@ -390,20 +396,21 @@ class Beliefs(Believed):
         return np.hstack([(place - middle) @ R, forward @ R])
 
     def _middle(self, number: int) -> float:
-        """Time on the host's clock of the middle between a packet and the one before."""
+        """Return the time, on the host's clock, midway between a packet and the previous one."""
         return self.clock + (number - 0.5) * self.period
 
     def _at(self, time: float) -> Floats:
-        """Interpolate the rows that are complete, shape (ROWS, 3); at their ends, take the end."""
+        """Interpolate the complete rows, shape (rows.width, 3). Outside their range, use the nearest row."""
         last = self.last
         assert last is not None
         low, high = last.number - min(self.run, HISTORY - 1) + 2, last.number - 1
         return self.interpolate(self.ring, time, low, high)
 
     def interpolate(self, ring: Floats, time: float, low: int, high: int) -> Floats:
-        """Interpolate a ring of rows, of the middles before packets, (HISTORY, ...), at a moment in s.
+        """Interpolate a ring buffer of rows, shape (HISTORY, ...), at a time in s.
 
-        Rows are used from the packet of number ``low`` to that of ``high``.
+        Each row belongs to the midpoint before the packet with its number. Only rows of packets ``low`` to
+        ``high`` are used.
         """
         index = (time - self.clock) / self.period + 0.5
         index = min(max(index, low), high)
@@ -415,10 +422,14 @@ class Beliefs(Believed):
 
 
 def _level(soles: Floats, axes: Floats) -> tuple[Floats, Floats]:
-    """Find the level frame: its rotation from the odometry frame, and its origin in its own axes.
+    """Return the level frame: its rotation from the odometry frame, and its origin in its own axes.
 
-    It is midway between the soles, shape (F, 3) in m, at the height of the lowest one, and heads as they do
-    on the whole; their axes x, y and z have shape (3 F, 3).
+    The origin is midway between the soles, at the height of the lowest one. The heading is the mean heading
+    of the soles.
+
+    Args:
+        soles: Positions of the soles in m, shape (F, 3).
+        axes: Axes x, y and z of the soles, shape (3 F, 3).
     """
     x, y, _ = axes[::3].sum(axis=0).tolist()
     norm = 1.0 / sqrt(x * x + y * y)

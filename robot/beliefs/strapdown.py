@@ -1,26 +1,29 @@
-r"""Attitude and velocity of a robot: one filter from the first packet on, of its IMU and the legs that stand.
+r"""Attitude and velocity of a robot from its IMU and its stance legs, by one filter for the whole episode.
 
 In level axes, whose heading follows the gyroscope, the velocity V of the IMU and the rotation R of the torso
 follow the specific force f and the angular velocity w that the IMU measures,
 
     V' = R (f - b_f) - (g + b_z) e_z,        R' = R [w - b_w]x.
 
-The lowest points of the feet stand still, which gives a second velocity V_legs and the innovation
+The lowest points of the feet do not move, which yields a second velocity V_legs and the innovation
 e = V_legs - V. A tilt error of phi accelerates V sideways by g phi, and an error beta of the gyroscope's bias
 tilts R at this rate. Along each horizontal axis the errors therefore obey
 
     v' = g phi,        phi' = beta,        beta' = 0,        e = v + noise,
 
-of which a Kalman filter estimates all three. Its covariance is the same along both axes. A robot that moves
-starts with a tilt that may be wrong by twenty degrees, as the first sample of the accelerometer is while the
-robot settles, and its gains fall within a second to those of a slow filter. It never starts again: lost
-packets are filled in, and a longer gap, or a specific force that contradicts the first sample of a robot at
-rest, only makes it less certain.
+and a Kalman filter estimates v, phi and beta. Its covariance is the same along both axes. If the robot moves
+at the start, the first sample of the accelerometer may be wrong by twenty degrees. The filter therefore
+starts with an uncertain tilt, and within a second its gains decrease to those of a slow filter. The filter is
+never reset. Lost packets are interpolated. A longer gap only increases the covariance, and so does a specific
+force that contradicts the first sample of a robot at rest.
 
 Flat soles show the normal u of the ground. If the ground is level, the mean excess e = f - g u is the
-accelerometer's error. A slope looks the same, but is often larger, and comes and goes. So the bias b_s
-follows e with a weight that falls with their distance, b_s' = (e - b_s) / (1 + |e - b_s|^2 / A^2)^2 / T,
-and of it b_f = b_s / (1 + |b_s|^2 / B^2) is believed, with the norms of the parts along the ground.
+accelerometer's error. A slope has the same effect, but it is often larger and does not last. The bias b_s
+therefore follows e with a weight that decreases with their distance,
+
+    b_s' = (e - b_s) / (1 + |e - b_s|^2 / A^2)^2 / T,        b_f = b_s / (1 + |b_s|^2 / B^2),
+
+and b_f is the bias that is subtracted. Both norms are those of the components along the ground.
 """
 
 from math import cos, sin, sqrt
@@ -32,77 +35,77 @@ from surefoot.arrays import Floats
 from surefoot.calibration.arrays import skew
 from surefoot.robot.beliefs.contacts import FREE_FALL
 
-LEGS_SPEED = 0.05  # standard deviation in m/s of the legs' velocity, as soles that roll and yield make it
+LEGS_SPEED = 0.05  # standard deviation in m/s of the legs' velocity, due to soles that roll and yield
 
 LEGS_NOISE = 1.5e-3
-"""Spectral density of that error in m^2/s: it changes every third of a second."""
+"""Spectral density of that error in m^2/s, for a correlation time of about a third of a second."""
 
 OUTLYING = 2.0
-"""Standard deviations of the innovation beyond which it counts for less, as of legs that slip, hang or hit
-the ground. Its noise is then taken to be half as large as itself."""
+"""Innovation in standard deviations above which its weight is reduced, for legs that slip, hang or hit the
+ground. The innovation's noise is then assumed to be half as large as the innovation."""
 
 VELOCITY_NOISE = 0.5 * LEGS_NOISE  # m^2/s^3: 0.03 m/s in a second, from vibrations of the accelerometer
-TILT_NOISE = 0.0375 * LEGS_NOISE  # times 1/g^2 in rad^2/s: 0.04 degrees in a second, of cheap gyroscopes
+TILT_NOISE = 0.0375 * LEGS_NOISE  # times 1/g^2 in rad^2/s: 0.04 degrees in a second, for low-cost gyroscopes
 BIAS_NOISE = 1.56e-4 * LEGS_NOISE
-"""Times 1/g^2 in rad^2/s^3. With these three the filter settles at a gain of 1 / s on the velocity, at two
-poles of the tilt of 0.5 / s, and at a bias that follows in 20 s."""
+"""Times 1/g^2 in rad^2/s^3. With these three densities the filter converges to a velocity gain of 1 / s, two
+tilt poles at 0.5 / s, and a time constant of 20 s for the bias."""
 
 FIRST_VELOCITY, FIRST_TILT, FIRST_BIAS = 0.5, 0.3, 0.005
-"""Standard deviations at the start in m/s, rad and rad/s, of a robot that is put down or already walks, and
-of a gyroscope that was zeroed at rest and has since become 20 K warmer, at 0.015 degrees/s per K (data sheet
-of the Bosch BMI088). With 0.02 rad/s the gains are several times larger for the first ten seconds, in which
-the noise of the legs' velocity then tilts the attitude of a robot that walks."""
+"""Initial standard deviations in m/s, rad and rad/s. They hold for a robot that is being put down or already
+walks, and for a gyroscope that was zeroed at rest and has since warmed up by 20 K, at 0.015 degrees/s per K
+(data sheet of the Bosch BMI088). With 0.02 rad/s the gains would be several times larger for ten seconds, and
+the noise of the legs' velocity would tilt the attitude of a walking robot."""
 
 STILL_VELOCITY, STILL_TILT = 0.05, 0.03
-"""The first two of a robot that is at rest at the start, by an accelerometer with a bias of 0.3 m/s^2."""
+"""The first two if the robot starts at rest with an accelerometer bias of 0.3 m/s^2."""
 
 STILL_SPIN, STILL_SPEED, STILL_FORCE = 0.1, 0.05, 0.05
-"""Largest angular velocity in rad/s, velocity of the legs in m/s, and difference of the specific force from
-gravity, as a share of it, of a robot that is at rest."""
+"""Upper limits for a robot at rest: angular velocity in rad/s, velocity of the legs in m/s, and deviation of
+the specific force from gravity, as a fraction of gravity."""
 
 CONTRADICTION = 5.0 * STILL_TILT
-"""Angle in rad between the specific force and the vertical, of a robot that has been at rest for less than
-:data:`FIRST_TIME`, beyond which its first sample was wrong: five standard deviations of that sample. A robot
-that sways seems to be at rest where it turns round, while it accelerates by up to 1 m/s^2 (0.1 rad)."""
+"""Angle in rad between specific force and vertical above which the first sample counts as wrong: five times
+its standard deviation. It applies to a robot at rest for less than :data:`FIRST_TIME`. A swaying robot looks
+at rest at its turning points, where it accelerates by up to 1 m/s^2 (0.1 rad)."""
 
-TURNED = 0.3  # rad/s by which a robot that walks tilts unseen while packets are missing
+TURNED = 0.3  # tilt rate in rad/s that a walking robot may have while packets are missing
 
-KNOWN_TILT = 0.1  # standard deviation in rad from which on the attitude is good enough for a reference
+KNOWN_TILT = 0.1  # standard deviation in rad below which the attitude is good enough for a reference
 
 VERTICAL_BIAS_TIME = 20.0  # time constant in s of the vertical bias, far longer than a step
 
-GROUND_TIME = 0.3  # time constant in s with which the soles correct the normal of the ground
+GROUND_TIME = 0.3  # time constant in s of the correction of the ground's normal by the soles
 
-REST_TIME = 2.0  # time constant in s of the excess: some steps, over which accelerations average out
+REST_TIME = 2.0  # time constant in s of the excess: several steps, so that accelerations average out
 
-FIRST_TIME = 1.0  # s of the start: a bias of zero counts as so much data, and a first sample may be revised
+FIRST_TIME = 1.0  # weight in s of the prior of zero bias; s in which the first sample may be revised
 
-FORCE_BIAS_TIME = 10.0  # longest time constant in s of the bias: many steps
+FORCE_BIAS_TIME = 10.0  # longest time constant in s of the bias, many steps
 
 OTHER_GROUND = 0.3
-"""Change of the excess in m/s^2, 1.8 degrees of slope, beyond which the ground has probably changed."""
+"""A in m/s^2: change of the excess above which the ground has probably changed (a slope of 1.8 degrees)."""
 
 ZERO_OFFSET = 0.2
-"""B in m/s^2: 20 mg, which data sheets of accelerometers in robots promise. Ground that leans by more than a
-degree looks like a larger bias, and is believed the less the more it leans."""
+"""B in m/s^2: 20 mg, the zero offset in data sheets of accelerometers in robots. A slope of more than a
+degree resembles a larger bias, and the estimate is reduced accordingly."""
 
 TOUCH = 0.003
-"""Height in m above the lowest point of the soles at which a point no longer counts as touching: encoders
-that are off by 1e-3 rad make 1 to 3 mm of it over a leg."""
+"""Height in m above the lowest point of the soles over which the weight of a contact point decays. Encoder
+errors of 1e-3 rad cause errors of 1 to 3 mm along a leg."""
 
-NO_NORMAL = 0.1  # length below which a mean of the soles' normals shows nothing, because they contradict
+NO_NORMAL = 0.1  # length of the soles' mean normal below which they contradict and are not used
 
-SMALL = 1e-3  # rad up to which a rotation is taken to second order; its error is 1e-10
+SMALL = 1e-3  # rad up to which a rotation is computed to second order, with an error of 1e-10
 
-SOLE_HEIGHT = 0.003  # height in m above a lower sole at which a sole no longer shows the ground's normal
+SOLE_HEIGHT = 0.003  # height in m above a lower sole at which a sole is not used for the ground's normal
 
 
 class StrapdownConstants(NamedTuple):
-    """Constants by their names in C; module constants of the same names explain them."""
+    """Constants under their names in C. The module constants of the same names document them."""
 
     points: int  # number of each foot's parts that may touch, n
     corners: Floats  # their centres in the sole frames in m, shape (F, n, 3)
-    radius: Floats  # their radii in m, shape (F, n); 0 of points
+    radius: Floats  # their radii in m, shape (F, n); 0 for points
     legs_noise: float = LEGS_NOISE
     legs_speed: float = LEGS_SPEED
     outlying: float = OUTLYING
@@ -133,12 +136,12 @@ class StrapdownConstants(NamedTuple):
 
     @classmethod
     def of(cls, places: Floats) -> "StrapdownConstants":
-        """Return those of feet; places: centres and radii, shape (F, n, 4)."""
+        """Return the constants for contact points with these centres and radii, shape (F, n, 4)."""
         return cls(places.shape[1], places[..., :3], places[..., 3])
 
 
 class Strapdown:
-    """The attitude, the velocity and the ground of one robot.
+    """Estimates the attitude, the velocity and the ground of one robot.
 
     Args:
         period: Time between packets in s.
@@ -149,16 +152,16 @@ class Strapdown:
 
     Attributes:
         R: Rotation from the torso's to the level axes, shape (3, 3).
-        velocity: Of the IMU in m/s, shape (3,).
-        place: Of the torso in m, by the legs alone, shape (3,).
-        spin_bias: Of the gyroscope in rad/s, shape (3,).
-        vertical_bias: Of the vertical acceleration in m/s^2.
+        velocity: Velocity of the IMU in m/s, shape (3,).
+        place: Position of the torso in m by leg odometry alone, shape (3,).
+        spin_bias: Bias of the gyroscope in rad/s, shape (3,).
+        vertical_bias: Bias of the vertical acceleration in m/s^2.
         ground: Normal of the ground in the torso's axes, shape (3,).
-        excess: Specific force less gravity along the ground's normal in m/s^2, in the mean, shape (3,).
-        sole_bias: Its part that does not change with the ground, b_s, shape (3,).
-        force_bias: The believed error of the accelerometer, b_f, shape (3,).
-        covariance: Of the errors of velocity, tilt and gyroscope bias along a horizontal axis, shape (3, 3).
-        count: Packets so far.
+        excess: Mean specific force minus gravity along the ground's normal in m/s^2, shape (3,).
+        sole_bias: The part of the excess that does not change with the ground, b_s, shape (3,).
+        force_bias: The estimated error of the accelerometer, b_f, shape (3,).
+        covariance: Covariance of velocity, tilt and gyroscope bias errors along a horizontal axis, (3, 3).
+        count: Number of packets so far.
     """
 
     def __init__(self, period: float, gravity: float, touching: Floats, rolls: bool = False) -> None:
@@ -177,7 +180,10 @@ class Strapdown:
         self.covariance = np.diag(np.square([FIRST_VELOCITY, FIRST_TILT, FIRST_BIAS]))
 
     def coast(self, seconds: float) -> None:
-        """Keep the attitude over a gap of unknown motion, and become less certain; negative is any time."""
+        """Keep the attitude over a gap in the data, and increase the covariance.
+
+        A negative duration means that the attitude is unknown.
+        """
         turned = TURNED * seconds if seconds > 0.0 else np.inf
         tilt = min(self.covariance[1, 1] + turned**2, FIRST_TILT**2)
         self.covariance = np.diag([FIRST_VELOCITY**2, tilt, self.covariance[2, 2]])
@@ -190,18 +196,19 @@ class Strapdown:
     def advance(
         self, force: Floats, spin: Floats, sites: Floats, axes: Floats, twist: Floats
     ) -> tuple[Floats, Floats]:
-        """Take in the middle between two packets.
+        """Advance the filter to the next packet.
 
         Args:
             force: Mean specific force since the last packet in the torso's axes in m/s^2, shape (3,).
             spin: Mean angular velocity in rad/s, shape (3,).
             sites: Places of the IMU and of the F soles in m, shape (1 + F, 3).
             axes: Axes x, y and z of each sole, shape (3 F, 3).
-            twist: Angular velocities and velocities of the IMU and the soles, shape (1 + F, 6); like all
-                others relative to the torso and in its axes.
+            twist: Angular velocities and velocities of the IMU and the soles, shape (1 + F, 6). Like all
+                arguments, they are relative to the torso and in its axes.
 
         Returns:
-            Rotation and velocity of the IMU at that middle, shapes (3, 3) and (3,).
+            Rotation of the torso and velocity of the IMU midway between the last packet and this one, shapes
+            (3, 3) and (3,).
         """
         period, carried = self._period, bool(force @ force > (FREE_FALL * self._gravity) ** 2)
         self.count += carried
@@ -238,7 +245,7 @@ class Strapdown:
         return middle, 0.5 * (before + after)
 
     def _judge(self, force: Floats, spin: Floats, legs: Floats) -> None:
-        """Set how certain the attitude is where the robot is at rest: at the start, and if it contradicts."""
+        """Set the covariance of a robot at rest: at the start, or if the attitude contradicts gravity."""
         length = sqrt(force @ force)
         still = (
             spin @ spin < STILL_SPIN**2
@@ -257,7 +264,7 @@ class Strapdown:
             self.coast(-1.0)
 
     def _find_bias(self, force: Floats) -> None:
-        """Compare the specific force with the normal of the ground, if soles show it."""
+        """Update the accelerometer bias from the ground's normal, unless the feet are round."""
         if self._rolls:
             return
         period, bias = self._period, self.sole_bias
@@ -270,14 +277,14 @@ class Strapdown:
         self.force_bias = bias / (1.0 + self._slope(bias) / ZERO_OFFSET**2)
 
     def _slope(self, force: Floats) -> float:
-        """Return the square of the part of a specific force along the ground, which a slope may cause."""
+        """Return the squared component of a specific force along the ground, which a slope may cause."""
         return float(force @ force - (force @ self.ground) ** 2)
 
     def _find_ground(self, turn: Floats, soles: Floats, axes: Floats) -> None:
-        """Turn the ground's normal on, and correct it by the soles that are lowest along it.
+        """Rotate the ground's normal with the torso, and correct it by the lowest soles along it.
 
-        A sole counts by the product of its odds against each other one: 1/2 for two at one height, 1 for one
-        that is lower by :data:`SOLE_HEIGHT`, and nothing for the other.
+        The weight of a sole is the product of one factor for each other sole. The factor is 1/2 at equal
+        height, 1 if this sole is lower by :data:`SOLE_HEIGHT`, and 0 if it is higher by as much.
         """
         if self._rolls:
             self.ground = self.R[2]
@@ -287,7 +294,7 @@ class Strapdown:
         beats = 0.5 * np.clip(1.0 - (height[:, None] - height) / SOLE_HEIGHT, 0.0, 2.0)
         np.fill_diagonal(beats, 1.0)
         weight = beats.prod(axis=1)
-        # The first ones are averaged: nothing was known before.
+        # The first packets are averaged, because there is no earlier estimate.
         share = max(1.0 / max(self.count, 1), self._period / GROUND_TIME)
         ground = ground + share * (weight @ axes[2::3] / weight.sum() - ground)
         length = np.linalg.norm(ground)
@@ -298,15 +305,15 @@ class Strapdown:
 def touching(
     sites: Floats, axes: Floats, twist: Floats, corners: Floats, up: Floats, radius: Floats | float = 0.0
 ) -> Floats:
-    """Return the mean velocity of the feet's points that touch the ground, relative to the torso, shape (3,).
+    """Return the mean velocity, relative to the torso, of the points that touch the ground, shape (3,).
 
     Args:
         sites: Origins of the soles in m, shape (F, 3).
-        axes: Their axes x, y and z, shape (F, 3, 3).
-        twist: Their angular velocities and velocities, shape (F, 6).
+        axes: Axes x, y and z of the soles, shape (F, 3, 3).
+        twist: Angular velocities and velocities of the soles, shape (F, 6).
         corners: Points in the sole frames in m, shape (F, n, 3).
-        up: Normal of the ground, shape (3,); like all others in the torso's axes.
-        radius: Radii of spheres about these points in m, whose lowest points touch, shape (F, n).
+        up: Normal of the ground in the torso's axes, as are the sites, axes and twists, shape (3,).
+        radius: Radii in m of spheres around these points, shape (F, n). Their lowest points touch the ground.
     """
     arm = corners @ axes
     if np.any(radius):
@@ -319,7 +326,7 @@ def touching(
 
 
 def _upright(force: Floats) -> Floats:
-    """Return the rotation of a torso at rest, whose specific force points up, shape (3, 3)."""
+    """Return the rotation of a torso at rest, where the specific force points up, shape (3, 3)."""
     up = force / sqrt(force @ force)
     axis = 0 if abs(up[0]) < 0.9 else 2  # the heading is arbitrary; the torso may lie on its back
     forward = np.eye(3)[axis] - up[axis] * up
@@ -336,6 +343,6 @@ def _rotation(turn: Floats) -> Floats:
 
 
 def _orthonormal(R: Floats) -> Floats:
-    """Return the rotation next to a matrix that is almost one."""
+    """Return the rotation closest to a matrix that is almost a rotation."""
     rotation: Floats = 1.5 * R - 0.5 * R @ R.T @ R
     return rotation

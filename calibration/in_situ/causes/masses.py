@@ -1,4 +1,4 @@
-"""Causes in what was added: other masses and places, exchanged sets, and other axes or a turned IMU."""
+"""Test causes in the setup: wrong added masses or places, exchanged sets, wrong axes, or a rotated IMU."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -20,19 +20,19 @@ from surefoot.calibration.in_situ.model import (
 from surefoot.calibration.in_situ.solver.problem import Problem, starts
 from surefoot.calibration.in_situ.solver.solve import Solution, deviance, minima, solve
 
-_LIKELY = 2  # changes of axes that are fitted to the end
-_GLANCE = 8  # evaluations by which these are chosen
+_LIKELY = 2  # number of axis changes whose fit runs to convergence
+_GLANCE = 8  # evaluations of the short fits that select them
 
-_AS_GOOD = 0.1  # share by which two costs may differ that are alike
+_AS_GOOD = 0.1  # relative difference below which two costs count as equal
 
 _WEIGH = "Weigh what was added and measure where it hung, or leave the set out."
 
 
 def try_masses(evidence: Evidence) -> Iterator[Cause]:
-    """Yield a scale that grows, another mass or place of a set, and another limb from a set on.
+    """Yield a growing scale, a wrong mass or place in one set, and a limb that changes between sets.
 
-    Nobody hangs a mass that is not positive or a hundred times what limbs bear, or out of reach. A sensor
-    that reads more from set to set reads all that hangs there as so much more.
+    Added masses are positive, below a maximum, and within reach. If the scale of a sensor grows from set to
+    set, the limb and the added masses appear heavier by the same factor.
     """
     count, added = len(evidence.sets), evidence.problem.added
     if count > ENOUGH_MASSES:
@@ -78,7 +78,7 @@ def _place(place: Vector) -> str:
 
 
 def try_exchange(evidence: Evidence) -> Iterator[Cause]:
-    """Yield two sets whose masses are exchanged."""
+    """Yield, for each pair of sets, an exchange of their added masses."""
     added = evidence.problem.added
     pairs = [(i, j) for i, j in combinations(range(len(added)), 2) if not np.allclose(added[i], added[j])]
     for i, j in pairs:
@@ -91,7 +91,10 @@ def try_exchange(evidence: Evidence) -> Iterator[Cause]:
 
 
 def try_frame(evidence: Evidence) -> Iterator[Cause]:
-    """Yield other axes of the places, and a turned IMU where it explains more: exact axes are likelier."""
+    """Yield other axes of the places, and a rotated IMU if it fits clearly better.
+
+    A permutation or a sign change of axes is likelier than a rotation by an arbitrary angle.
+    """
     if not np.any(evidence.problem.added[:, MASS] > 0.0) or evidence.problem.rotation:
         return
     axes = list(try_axes(evidence))
@@ -103,16 +106,17 @@ def try_frame(evidence: Evidence) -> Iterator[Cause]:
 
 
 def _turn_limb(outer: Vector, axes: Matrix) -> Vector:
-    """Return outer unknowns with the limb's first moment in other axes."""
+    """Return the outer unknowns with the limb's first moment expressed in other axes."""
     turned = outer.copy()
     turned[MOMENT] = axes @ outer[MOMENT]
     return turned
 
 
 def _try_turn(evidence: Evidence) -> Cause:
-    """Return an IMU that is turned against the sensor: of two turns as good as each other the smaller one.
+    """Return a rotation of the IMU relative to the sensor as a cause.
 
-    Masses in one plane do not tell a sensor from its mirror image.
+    If all masses are in one plane, a sensor and its mirror image fit equally well. The smallest rotation
+    among the best fits is therefore returned.
     """
     outer, turns = evidence.solution.outer, Rotation.create_group("O")
     begin = [np.append(_turn_limb(outer, turn.as_matrix()), turn.as_rotvec()) for turn in turns]
@@ -127,11 +131,11 @@ def _try_turn(evidence: Evidence) -> Cause:
 
 
 def try_axes(evidence: Evidence) -> Iterator[Cause]:
-    """Yield axes of all places, or of the IMU, that have other signs or another order."""
+    """Yield axes of all places, or of the IMU, with other signs or in another order."""
     found = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=2)):
         axes = np.eye(3)[list(order)] * np.array([1.0, *signs])[:, None]
-        # With their opposite, the fewest changes first; no change is no cause.
+        # Each matrix is tried with its negative, fewest changes first. The identity is left out.
         pair = sorted((axes, -axes), key=lambda one: (-np.trace(one), -np.sum(one)))
         pair = [one for one in pair if not np.array_equal(one, np.eye(3))]
         glances = (_change_axes(evidence, one) for one in pair)
@@ -144,7 +148,7 @@ def try_axes(evidence: Evidence) -> Iterator[Cause]:
 
 
 def _change_axes(evidence: Evidence, axes: Matrix) -> tuple[Problem, Vector]:
-    """Return the problem with all places in other axes, and outer unknowns to start from."""
+    """Return the problem with all places in other axes, and the initial outer unknowns."""
     plain = evidence.problem
     added = [inertial_parameters(one.added_mass, axes @ one.added_com, plain.moving) for one in evidence.sets]
     problem = replace(plain, added=np.pad(added, ((0, 0), (0, plain.parameters - len(added[0])))))
@@ -152,10 +156,14 @@ def _change_axes(evidence: Evidence, axes: Matrix) -> tuple[Problem, Vector]:
 
 
 def _tell_signs(evidence: Evidence, pair: Sequence[Matrix]) -> tuple[str, Solution]:
-    """Fit axes and their opposite; return the likelier in words, or both, and its solution.
+    """Fit axes and their negative, and describe the likelier ones.
 
-    At rest places show in torques m c x g alone: the opposite places fit as well with the opposite response
-    to torques. The maker's matrix tells which it is, and so do the limb's place and its motion.
+    At rest, places only affect the torques m c x g, so negated places fit equally well with a negated
+    response to torques. The manufacturer's matrix resolves this ambiguity, and so do the limb's place and its
+    motion.
+
+    Returns:
+        The likelier axes in words, or both if they are equally likely, and the solution of the first.
     """
     fits = []
     for axes in pair:

@@ -1,16 +1,16 @@
-r"""Rank the causes why sets contradict each other: known ones are tried, and an unknown one competes.
+r"""Rank the possible causes of a contradiction between sets, including an unknown cause.
 
-A cause adds signals to the readings (a leap, a touch, a limb that bends), changes what was added (another
-mass, another place, another limb), or reads gravity in another way (a late clock, held values, turned axes).
-The fit is repeated with each cause, on the same compressed rows. The choices of one kind, such as the sets in
-which a leap may be, are equally likely beforehand; times and delays are unknowns. A cause with d more
-unknowns, the best of c choices, has Schwarz's (1978) evidence by the likelihood L of n rows, which contains
-the priors of the fit,
+A cause adds signals to the readings (a jump, a contact, a limb that bends), changes the added masses (another
+mass, another place, another limb), or interprets gravity differently (a delayed clock, repeated values, other
+axes). The fit is repeated with each cause on the same compressed rows. Alternatives of one kind, such as the
+set that contains a jump, have equal prior probabilities. Times and delays are unknowns of the fit. The
+evidence for a cause with d additional unknowns that is the best of c alternatives follows Schwarz (1978).
+With the likelihood L of n rows, which includes the priors of the fit, it is
 
-.. math:: \log L - \tfrac{1}{2} d \log n - \log c,
+.. math:: \log L - \tfrac{1}{2} d \log n - \log c.
 
-limited by how much smaller it makes the residuals, because errors of the sensor's model repeat.
-:mod:`surefoot.calibration.diagnosis` makes probabilities of it.
+This evidence is limited by the reduction of the residuals, because errors of the sensor model are repeated in
+many rows. :mod:`surefoot.calibration.diagnosis` converts it to probabilities.
 """
 
 from collections.abc import Sequence
@@ -33,33 +33,36 @@ from surefoot.calibration.results import Finding
 _TINY = float(np.finfo(float).tiny)
 
 EXPERIENCE = Experience(unknown=0.2, mimicked=0.2, size=0.003, spread=0.6)
-"""Sound sets leave 0.1 to 0.9 % of the spread, most of it hysteresis; see benchmarks/in_situ_spoilt.py."""
+"""Residuals of sound sets are 0.1 to 0.9 % of the spread, mostly hysteresis.
 
-_BEST, _LEAST = 0.0025, 0.0005  # shares of the spread that good sensors leave, and the best ones
-_SURE = 30.0  # nats by which a mistake must explain more for others to compete below the floor
-_MAY_BE_SOUND = 0.05  # probability of residuals among sound sets above which they may be sound
+Measured by benchmarks/in_situ_spoilt.py.
+"""
 
-_CLOSER = 0.5  # share of the residuals that the closest mistake may leave to be worth a word
+_BEST, _LEAST = 0.0025, 0.0005  # residuals of good sensors and of the best ones, as shares of the spread
+_SURE = 30.0  # nats of evidence above which data certainly contain a mistake
+_MAY_BE_SOUND = 0.05  # probability of such residuals in sound sets above which the sets may be sound
 
-_MISTAKES = 20.0  # kinds of mistakes, each of which is that much rarer than data without any
+_CLOSER = 0.5  # largest share of the residuals that the closest mistake may leave to be reported
+
+_MISTAKES = 20.0  # kinds of mistakes; each is rarer than sound data by this factor
 
 _LAW = 100.0
-"""Readings that an error of the sensor's model is worth, however many samples repeat it. Loops of two laws
-differ by a few numbers for each axis, and so do the loops of the same law at other swings."""
+"""Effective number of readings for an error of the sensor model, however many samples repeat it.
+Hysteresis loops of two laws differ by a few numbers per axis. So do loops of one law at different swings."""
 
 
 class Causes(NamedTuple):
-    """What was found out about the causes of a contradiction."""
+    """Result of the search for the causes of a contradiction."""
 
-    diagnosis: Diagnosis  # probabilities of all that were tried
-    closest: Tried | None  # leaves less than half of the residuals; None if no mistake does
+    diagnosis: Diagnosis  # probabilities of all tested causes
+    closest: Tried | None  # best mistake, unless its evidence is weak or half of the residuals remain
     moved: float
-    """Share by which the likeliest cause moves contact loads. Zero if it has many unknowns, which hysteresis
-    of a law that the fit has not may look like."""
+    """Relative change of contact loads by the likeliest cause. Zero if that cause has many unknowns, because
+    it may then only imitate a hysteresis law that the fit does not model."""
 
     @classmethod
     def of(cls, tried: Sequence[Tried], evidence: float, size: float, experience: Experience) -> "Causes":
-        """Return the causes among those that were tried, beside the fit without any."""
+        """Compare the tested causes with each other and with the fit without any cause."""
         found = diagnose(tried, evidence, size, experience)
         closest = max(tried, key=lambda one: one.evidence, default=None)
         if closest and (closest.evidence - evidence < limits.CLEARER or closest.size > _CLOSER * size):
@@ -68,15 +71,15 @@ class Causes(NamedTuple):
 
 
 def find_causes(evidence: Evidence) -> Causes:
-    """Try each known cause, and return their probabilities beside none of them and an unknown one."""
+    """Test all known causes, and return the probabilities of each, of no cause, and of an unknown cause."""
     found = list[Cause]()
     for look in _KINDS:
-        # Bad data without one cause may have no answer with another.
+        # With bad data the fit of some causes may be singular.
         with suppress(np.linalg.LinAlgError):
             found += look(evidence)
     rows = sum(part.rows for part in evidence.problem.sets)
     size, before = _measure_left(evidence, evidence.solution), deviance(evidence.solution)
-    # Where the residuals may be those of a sound sensor, smaller ones are no evidence of anything.
+    # If a sound sensor may have these residuals, a further reduction is not evidence of a mistake.
     least = _BEST if EXPERIENCE.sound(size) > _MAY_BE_SOUND else _LEAST
     best: dict[str, tuple[Tried, Cause]] = {}
     for one in found:
@@ -89,7 +92,7 @@ def find_causes(evidence: Evidence) -> Causes:
             best[one.words] = (tried, one)
     every = [tried for tried, _ in best.values()]
     if max((one.evidence for one in every), default=0.0) > _SURE:
-        # Something is wrong. What it is shows also in residuals below those of good sensors.
+        # The data contain a mistake. Residuals below those of good sensors then also help to identify it.
         every = [
             one._replace(
                 evidence=one.evidence + _LAW * float(np.log(least / np.clip(one.size, _LEAST, least)))
@@ -108,10 +111,10 @@ def _as_clause(sentence: str) -> str:
 
 
 def _measure_left(evidence: Evidence, solution: Solution) -> float:
-    """Return the share of the spread of forces and torques that a solution leaves, beside white noise.
+    """Return the residual of a solution without white noise, as a share of the spread of forces and torques.
 
-    A slope of each set is the offset's drift. Without times nothing tells noise from all else within a set,
-    so that only what sets disagree on counts.
+    A slope within a set is attributed to offset drift. Without times, noise cannot be separated from other
+    residuals within a set, so only disagreement between sets counts.
     """
     to_wrench, timed = np.linalg.pinv(solution.A).T, evidence.timed
     left, spread, samples = np.zeros(AXES), np.zeros(AXES), 0.0
@@ -133,7 +136,7 @@ def _measure_left(evidence: Evidence, solution: Solution) -> float:
 
 
 def _measure_move(one: Solution, other: Solution) -> float:
-    """Return how far two fits disagree on contact loads, as a share; torques count by the limb's lever."""
+    """Return the relative difference of two fits in contact loads, with torques over the limb's lever arm."""
     mass, *moment = one.limb[:STATIC]
     lever = max(float(np.linalg.norm(moment)) / max(abs(mass), _TINY), LEAST_LEVER)
     size = np.repeat([1.0, lever], 3)
@@ -142,12 +145,15 @@ def _measure_move(one: Solution, other: Solution) -> float:
 
 
 def penalise(free: int, rows: float, choices: int) -> float:
-    """Return the nats that the best of some alternatives, with free unknowns, gains by chance."""
+    """Return the nats that the best of several alternatives with free unknowns gains by chance."""
     return float(0.5 * free * np.log(rows) + np.log(choices))
 
 
 def tell_causes(symptom: Finding, causes: Causes, instead: str = "") -> Finding:
-    """Add the likeliest cause to a symptom, or that none is known; the cure ``instead`` if that is not it."""
+    """Add the likeliest cause to a symptom, and the remedy ``instead`` in case that cause is wrong.
+
+    If data contain a mistake but no cause is likely, report that, and the closest cause if there is one.
+    """
     diagnosis, closest = causes.diagnosis, causes.closest
     if diagnosis.none > 0.5 or not diagnosis.causes:
         return symptom
