@@ -214,10 +214,8 @@ def with_another_law(recordings: Sequence[RigRecording], sensor: str, law: str) 
     """Let loads lag before the sensor feels them, by a law that the fit does not contain."""
     loads = [getattr(one, f"wrench_{sensor}") for one in recordings]
     half = np.max([np.ptp(load, axis=0) / 2.0 for load in loads], axis=0)
-    return [
-        replace(one, **{f"wrench_{sensor}": lag_otherwise(load, half, law)})
-        for one, load in zip(recordings, loads, strict=True)
-    ]
+    changes: list[dict[str, Any]] = [{f"wrench_{sensor}": lag_otherwise(load, half, law)} for load in loads]
+    return [replace(one, **change) for one, change in zip(recordings, changes, strict=True)]
 
 
 def turn(path: str, sensor: str, kind: str, seed: int) -> dict[str, Any]:
