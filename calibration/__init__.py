@@ -4,7 +4,7 @@ NumPy and SciPy; no simulator and no Gymnasium, so that it runs on a robot.
 
 * :class:`FootCalibrator` in a robot's loop, :func:`replay` for a log; by name from :data:`METHODS`;
   :func:`register_method` adds one of your own.
-* :func:`online_method` for the pure functions beneath them.
+* :func:`online_method` for the pure functions that both use.
 * :func:`calibrate_in_situ` for six-axis force-torque sensors, from gravity and known masses.
 """
 

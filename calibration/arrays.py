@@ -1,4 +1,4 @@
-"""Arrays as the modules of this package write them."""
+"""Array types and small helpers of linear algebra."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -8,17 +8,17 @@ import numpy as np
 from surefoot.arrays import Floats
 
 Array = Any
-"""A NumPy array, or a NumPy number where its shape is (); GPU modules hold tensors in the same records."""
+"""A NumPy array, or a NumPy number if its shape is (). GPU modules use tensors in the same tuples."""
 
 MAD_TO_STD = 1.4826  # standard deviations in a median absolute deviation of normal noise
 
 
 ROUNDING = 1e-13
-"""Singular values at or below this share of the largest, for columns of unit length, are rounding."""
+"""Share of the largest singular value, for columns of unit length, at or below which one counts as zero."""
 
 
 def in_a_row(*widths: int) -> Iterator[slice]:
-    """Yield the slices of parts of these widths, side by side.
+    """Yield consecutive slices of these widths.
 
     >>> list(in_a_row(3, 1))
     [slice(0, 3, None), slice(3, 4, None)]
@@ -36,7 +36,7 @@ def skew(vectors: Floats) -> Floats:
 
 
 def of_unit_length(columns: Floats) -> tuple[Floats, Floats]:
-    """Return columns over their lengths, and the lengths; one for a column of zeros."""
+    """Return the columns divided by their lengths, and the lengths (one for a column of zeros)."""
     size = np.linalg.norm(columns, axis=0)
     size = np.where(size > 0.0, size, 1.0)
     return columns / size, size
@@ -46,12 +46,12 @@ def orthonormal(columns: Floats, rounding: float = ROUNDING) -> tuple[Floats, Fl
     """Return an orthonormal basis of columns X, shape (n, p), and X^+ by that basis, shape (c, p)."""
     unit, size = of_unit_length(columns)
     left, singular, right = np.linalg.svd(unit, full_matrices=False)
-    seen = singular > rounding * singular[0]
-    return left[:, seen], right[seen].T / singular[seen] / size[:, None]
+    significant = singular > rounding * singular[0]
+    return left[:, significant], right[significant].T / singular[significant] / size[:, None]
 
 
 def triangle(columns: Floats) -> Floats:
-    """Return R of a QR decomposition with as many rows as columns, also of fewer samples."""
+    """Return the square factor R of a QR decomposition, also if there are fewer rows than columns."""
     width = columns.shape[1]
     if len(columns) < width:
         columns = np.concatenate([columns, np.zeros((width - len(columns), width))])

@@ -1,6 +1,6 @@
-"""The filter of one calibrator and its state: in Python, which is the specification, or in the library.
+"""Run the filter of one calibrator in Python, which is the specification, or in the C library.
 
-:class:`~surefoot.calibration.FootCalibrator` chooses one when it is made, and keeps it.
+:class:`~surefoot.calibration.FootCalibrator` chooses one of the two when it is created.
 """
 
 from typing import Any
@@ -17,15 +17,15 @@ AnyReference = Reference | MomentumReference | ReferenceRecord
 
 
 class PythonFilter:
-    """The specification of a method; its state is a value, ``None`` before the first sample."""
+    """The Python implementation of a method. Its state is ``None`` before the first sample."""
 
-    library: Library | None = None  # the library that it runs in, if it does
+    library: Library | None = None  # always None: this backend does not use the library
 
     def __init__(self, method: OnlineMethod, state: Any = None) -> None:
         self._method, self.state = method, state
 
     def update(self, raw: Array, reference: AnyReference, dt: Any) -> Estimate:
-        """Take in one sample."""
+        """Process one sample."""
         if isinstance(reference, ReferenceRecord):
             reference = reference.reference()
         state = self._method.init(raw) if self.state is None else self.state
@@ -33,16 +33,16 @@ class PythonFilter:
         return estimate
 
     def retract(self) -> None:
-        """Take back the learning of the last seconds."""
+        """Discard what was learnt in the last seconds."""
         if self.state is not None:
             self.state = self._method.retract(self.state)
 
     def native(self) -> None:
-        """Return the library's filter and its state, for somebody who goes on with both: there are none."""
+        """Return None: this backend has no native filter."""
 
 
 class LibraryFilter:
-    """The library's filter of a method, in which the state stays in one place."""
+    """The C implementation of a method. Its state is a record that the library updates in place."""
 
     def __init__(self, native: NativeFilter, method: OnlineMethod) -> None:
         self._native, self._method, self._state = native, method, native.pack()
@@ -51,7 +51,7 @@ class LibraryFilter:
 
     @property
     def state(self) -> Any:
-        """The state as the Python has it."""
+        """The state as a tuple of NumPy arrays, or ``None`` before the first sample."""
         return self._state.python() if self._in_use else None
 
     @state.setter
@@ -60,7 +60,7 @@ class LibraryFilter:
         self._started = state is not None
 
     def update(self, raw: Array, reference: AnyReference, dt: Any) -> Estimate:
-        """Take in one sample; Python names the flaw of one that the library refuses, or takes it in."""
+        """Process one sample. Samples that the library cannot take are passed to the Python backend."""
         if isinstance(reference, ReferenceRecord) and reference.library is not self.library:
             reference = reference.reference()
         if not self._native.takes(raw, reference, dt):
@@ -72,7 +72,7 @@ class LibraryFilter:
         return self._native.update(self._state, raw, reference, dt)
 
     def retract(self) -> None:
-        """Take back the learning of the last seconds."""
+        """Discard what was learnt in the last seconds."""
         if self._in_use:
             self._native.retract(self._state)
 
@@ -83,8 +83,8 @@ class LibraryFilter:
 
     @property
     def _in_use(self) -> bool:
-        """Whether a sample has come, or may have come by somebody else."""
+        """Whether there was a sample, or there may have been one from another caller of the record."""
         return self._started or self._shared
 
 
-FilterBackend = PythonFilter | LibraryFilter  # who filters, and holds the state
+FilterBackend = PythonFilter | LibraryFilter

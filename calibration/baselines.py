@@ -1,18 +1,18 @@
-"""The methods to compare with: a swing tare, and no calibration at all.
+"""Baselines for comparison: a swing tare, and no calibration at all.
 
-**Tare.** A foot that is surely in the air reads its own offset. RoboCup teams tare a NAO's foot sensors as it
-walks: B-Human's ``SolePressureStateProvider`` takes the lowest reading of each sensor over some changes of
-the support foot for its offset. The lowest of many readings is right for a force-sensing resistor, which
-cannot read less than nothing; a load cell's noise has two sides, so that here it is the *mean* over the
-swing, and only where a robot is sure of the swing and the readings agree:
+**Tare.** A foot in the air reads its offset. RoboCup teams tare a NAO's foot sensors as it walks. B-Human's
+``SolePressureStateProvider`` takes the lowest reading of each sensor over several changes of the support foot
+as its offset. The minimum suits a force-sensing resistor, which cannot read less than zero. A load cell's
+noise is symmetric. The offset here is therefore the *mean* over a swing, and it is only used if the foot is
+known to be in the air and its readings agree:
 
     b_i = -a_i mean(F0_i)    so that    mean(F_i) = 0.
 
-Scales stay as they are. The weight of the sole itself is in the offset; its inertia (some 50 g, up and down
-within a swing) averages out.
+Scales do not change. The weight of the sole is part of the offset. The inertia of the sole (about 50 g, which
+moves up and down within a swing) averages out.
 
-**None.** The starting map as it is, behind the same checks as every method, and readings as they were read:
-they are not carried on to now.
+**None.** The starting map, behind the same checks as every method. Readings are not extrapolated to the
+current time.
 """
 
 from dataclasses import dataclass
@@ -37,18 +37,17 @@ class SwingTare:
     """Time that a foot must have been in the air before its readings count, in s."""
 
     minimum_samples: int = 10
-    """Readings of one swing that an offset is taken from at least."""
+    """Smallest number of readings of one swing from which an offset is taken."""
 
     spread: float = 0.01
-    """Standard deviation within a swing, in body weights, above which a foot is not thought to hang
-    freely."""
+    """Standard deviation within a swing, in body weights, above which a foot counts as touching something."""
 
     offset_range: float = 0.2
-    """Largest offset against the starting map, in body weights, that a channel and that all channels of a
-    foot together can have; a greater one means that the foot was not in the air after all."""
+    """Largest change of an offset from the starting map, in body weights, of a channel and of all channels of
+    a foot together. A larger change means that the foot was not in the air."""
 
     def __post_init__(self) -> None:
-        """Raise an error if a value has no meaning."""
+        """Raise an error if a value is out of range."""
         check_positive(self, "spread", "offset_range")
         check_not_negative(self, "settle")
         check_count(self, "minimum_samples")
@@ -79,7 +78,7 @@ def tare(setup: OnlineSetup, config: SwingTare | None = None) -> OnlineMethod:
 
     def update(state: TareState, raw: Array, reference: Reference, dt: float) -> tuple[TareState, Estimate]:
         front, sample = front_end.observe(state.front, raw, reference, dt)
-        # Across a gap the foot may have stood: what was counted before is not of this swing.
+        # The foot may have touched the ground during a gap, so that earlier samples belong to another swing.
         airborne = np.where(sample.swing[foot_of], (1 - sample.gap) * state.airborne + 1, 0)
         used = (airborne > settle) & sample.read
 
@@ -96,12 +95,12 @@ def tare(setup: OnlineSetup, config: SwingTare | None = None) -> OnlineMethod:
         plausible = (scatter <= number * spread**2) & (np.abs(mean) <= limit)
         offset, rejected = state.offset.copy(), np.zeros(channels, dtype=np.int64)
         for foot in feet:
-            seen = np.flatnonzero(enough[foot]) + foot.start
-            # Where one channel carries load, or all together do, the foot did not swing.
-            if plausible[seen].all() and abs(mean[seen].sum()) <= limit:
-                offset[seen] = -mean[seen]
+            ready = np.flatnonzero(enough[foot]) + foot.start
+            # If one channel carries load, or all of them together do, the foot was on the ground.
+            if plausible[ready].all() and abs(mean[ready].sum()) <= limit:
+                offset[ready] = -mean[ready]
             else:
-                rejected[seen] = int(Flag.REJECTED)
+                rejected[ready] = int(Flag.REJECTED)
 
         estimate = front_end.estimate(sample, np.ones_like(offset), offset)
         estimate = estimate._replace(flags=estimate.flags | rejected)
@@ -112,7 +111,7 @@ def tare(setup: OnlineSetup, config: SwingTare | None = None) -> OnlineMethod:
 
 
 def leave_start(setup: OnlineSetup) -> OnlineMethod:
-    """Return the method that leaves the starting map as it is, and readings as they were read."""
+    """Return the method that never changes the starting map and does not extrapolate readings."""
     front_end = FrontEnd(as_read(setup), imu=False)
 
     def update(state: FrontState, raw: Array, reference: Reference, dt: float) -> tuple[FrontState, Estimate]:

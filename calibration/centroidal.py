@@ -1,19 +1,19 @@
 r"""The ground force that the robot's own motion requires: the reference of the calibrators.
 
-Newton and Euler for the whole robot (CoP paper, Eqs. 6, 7), f_i the ground's forces at p_i,
+The Newton-Euler equations of the whole robot (CoP paper, Eqs. 6, 7), with the ground's forces f_i at p_i,
 
     M (c'' + g e_z) = sum f_i,    L' = sum (p_i - c) x f_i,
 
-give, with c = (x, y, z) the centre of mass and p_z the height of the ground,
+give, with the centre of mass c = (x, y, z) and the height p_z of the ground,
 
     Fz = M (z'' + g)                                   (9)
     px = x - [ (z - p_z) M x'' + L'_y ] / Fz           (10)
     py = y - [ (z - p_z) M y'' - L'_x ] / Fz           (11)
 
-Han's earlier method supposes a quasi-static robot: Fz = M g and p = (x, y).
+Han's earlier method assumes a quasi-static robot: Fz = M g and p = (x, y).
 
-Only the ground's forces enter: a hand on the robot shows up as an error of this reference. A series of
-samples has them first, written as ``...``.
+The equations contain the ground's forces only. Any other external force, such as a hand on the robot, is an
+error of this reference. Leading axes of a series of samples are written as ``...``.
 """
 
 from typing import NamedTuple
@@ -27,17 +27,17 @@ from surefoot.calibration.reference import GRAVITY, Reference
 
 
 class GroundReference(NamedTuple):
-    """The ground force that is expected."""
+    """The expected ground reaction force."""
 
     vgrf: Array  # total vertical force in N, shape (...)
     cop: Array
-    """Centre of pressure of both feet in the level frame in m, shape (..., 2); NaN where the force does not
+    """Centre of pressure of both feet in the level frame in m, shape (..., 2), NaN if the force does not
     exceed the threshold."""
-    moment: Array  # (Fz px, Fz py) in N m, shape (..., 2): defined also where the centre of pressure is not
+    moment: Array  # (Fz px, Fz py) in N m, shape (..., 2), defined even if the centre of pressure is not
 
 
 def ground_height(reference: Reference) -> Array:
-    """Read the height of level ground, (...), in m off the lower sole, which stands whatever is believed."""
+    """Return the height of level ground in m, shape (...): that of the lower sole."""
     check_tail(reference.position_sole, (2, 3), "position_sole")
     return reference.position_sole[..., 2].min(axis=-1)
 
@@ -51,15 +51,15 @@ def ground_reference(
     gravity: float = GRAVITY,
     threshold: float = FORCE_THRESHOLD,
 ) -> GroundReference:
-    """Compute the vertical force and the centre of pressure that the robot's motion asks for.
+    """Compute the vertical force and the centre of pressure that the robot's motion requires.
 
     Args:
-        reference: The robot's beliefs; used are ``com``, ``com_acceleration``, ``angular_momentum_rate`` and,
-            where no height is given, ``position_sole``.
+        reference: The robot's state estimate. The fields used are ``com``, ``com_acceleration``,
+            ``angular_momentum_rate`` and, without a height, ``position_sole``.
         mass: The robot's mass in kg.
         height: Height p_z of the ground in the level frame in m, shape (...); by default
             :func:`ground_height`.
-        quasi_static: Whether to leave the motion out: Fz = M g above the centre of mass.
+        quasi_static: Whether to ignore accelerations: Fz = M g below the centre of mass.
         gravity: Acceleration of free fall in m/s^2.
         threshold: Vertical force in N at or below which the centre of pressure is NaN.
 

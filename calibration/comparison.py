@@ -9,11 +9,11 @@ logarithm of the likelihood of the starting map over that of the learnt map is, 
 where q are mean squares of the residuals of component c. It has no unit, and needs no threshold in
 millimetres: the evidence grows with the number of rows.
 
-* Rows come before the map has learnt from them (prequential, Dawid 1984), or from a part of a log that was
-  left out.
-* Neither map is to blame for what the robot does not know about itself. A constant part of a residual counts
-  only as far as it exceeds ``slack``: what an error of the believed centre of mass and mass makes.
-* No map is better than the noise of the rows: ``floor`` is added to both mean squares.
+* Rows are compared before the map has learnt from them (prequential, Dawid 1984), or come from a part of a
+  log that was left out.
+* Errors of the robot's own model affect both maps. The constant part of a residual counts only as far as it
+  exceeds ``slack``, the effect of errors in the believed mass and centre of mass.
+* The noise of the rows, ``floor``, is added to both mean squares.
 """
 
 from typing import NamedTuple
@@ -30,22 +30,22 @@ INDEPENDENT = 1.0
 
 
 class Residuals(NamedTuple):
-    """Means over the rows of one map; C components."""
+    """Means over the rows of one map, for C components."""
 
     mean: Array  # of the residuals, shape (C,)
     square: Array  # of their squares, shape (C,)
 
     @classmethod
     def of(cls, rows: Array) -> "Residuals":
-        """Return those of rows, shape (N, C)."""
+        """Return the means over rows, shape (N, C)."""
         return cls(rows.mean(axis=0), np.square(rows).mean(axis=0))
 
     def include(self, row: Array, share: Array | float) -> "Residuals":
-        """Return the means with one more row, shape (C,), which counts by a share, shape (C,) or ()."""
+        """Return the means with one more row, shape (C,), of weight ``share``, shape (C,) or ()."""
         return Residuals(self.mean + share * (row - self.mean), self.square + share * (row**2 - self.square))
 
     def excess(self, slack: Array, floor: Array) -> Array:
-        """Return the mean squares without what an error of the robot's own model may explain, shape (C,)."""
+        """Return mean squares less the part that errors of the robot's model can explain, shape (C,)."""
         beyond = np.maximum(np.abs(self.mean) - slack, 0.0)
         varying = np.maximum(self.square - self.mean**2, 0.0)
         total: Array = varying + beyond**2 + floor
@@ -53,7 +53,7 @@ class Residuals(NamedTuple):
 
 
 def evidence_for_start(learnt: Residuals, start: Residuals, slack: Array, floor: Array, rows: float) -> float:
-    """Return the logarithm of how much likelier rows are by the starting map than by the learnt map.
+    """Return the log-likelihood ratio of rows between the starting map and the learnt map.
 
     Above :data:`SURE` the learnt map is worse than the start.
 
@@ -62,7 +62,7 @@ def evidence_for_start(learnt: Residuals, start: Residuals, slack: Array, floor:
         start: Residuals of the starting map in the same rows.
         slack: Constant residual that an error of the robot's own model may explain, shape (C,).
         floor: Variance of the noise of a row, positive, shape (C,).
-        rows: How many independent rows the means are of.
+        rows: Number of independent rows in the means.
     """
     ratio = learnt.excess(slack, floor) / start.excess(slack, floor)
     return float(0.5 * rows * np.log(ratio).sum())

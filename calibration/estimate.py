@@ -9,7 +9,7 @@ from surefoot.calibration.arrays import Array
 
 
 class Flag(IntFlag):
-    """Doubts about a channel of an estimate; bits that add up.
+    """Warnings about a channel of an estimate, as bits that can be combined.
 
     >>> Flag(3)
     <Flag.MISSING|OUT_OF_RANGE: 3>
@@ -21,7 +21,7 @@ class Flag(IntFlag):
     words: str  # the flag in a few words, for tables and messages
 
     def __new__(cls, value: int, words: str = "") -> "Flag":
-        """Make a flag of its bit and its words; combinations of flags have no words."""
+        """Create a flag from its bit and its words. Combinations of flags have no words."""
         flag = int.__new__(cls, value)
         flag._value_, flag.words = value, words
         return flag
@@ -31,68 +31,68 @@ class Flag(IntFlag):
         return cls(int(value)) if isinstance(value, np.integer) else super()._missing_(value)
 
     MISSING = 1, "no reading arrived; the last one is held"
-    """No reading arrived (NaN): the last one is held."""
+    """No reading arrived (NaN). The last one is held."""
 
     OUT_OF_RANGE = 2, "a reading that no foot can give, or a jump; the last one is held"
-    """The reading is infinite, is a force that no foot can see, or has leapt away: the last one is held."""
+    """The reading is infinite, larger than any force on a foot, or a jump. The last one is held."""
 
     REFERENCE = 4, "the motion is not known or not physical; nothing is learnt"
-    """The reference is not finite or not of a robot's size (metres?): the last one is held, and nothing is
-    learnt from it."""
+    """The reference is not finite or not plausible for a robot (are lengths in metres?). The last one is
+    held, and nothing is learnt from it."""
 
     GAP = 8, "the clock jumped; filters start again"
-    """The time since the last sample is zero, negative or far too long: filter and window are empty again."""
+    """The time since the last sample is zero, negative or far too long. Filters and windows start again."""
 
     NO_CONTACT = 16, "too little weight on the feet to learn from"
-    """The window holds too few samples with weight on the feet to learn from: parameters unchanged."""
+    """The window holds too few samples with weight on the feet. Parameters do not change."""
 
-    SINGULAR = 32, "the data do not separate the parameters; they stay"
-    """The normal equations cannot be solved safely: parameters unchanged."""
+    SINGULAR = 32, "the data do not separate the parameters, which do not change"
+    """The normal equations are close to singular. Parameters do not change."""
 
     STANDING = 64, "still collecting the standing start"
-    """Still collecting the standing start: parameters as they were given."""
+    """The standing start is still being collected. Parameters are the initial ones."""
 
-    REJECTED = 128, "the data ask for what no sensor does; refused"
-    """What the data ask for is impossible for a sensor: parameters unchanged."""
+    REJECTED = 128, "the data require an implausible map; rejected"
+    """The data require parameters that no sensor has. Parameters do not change."""
 
     SPIKE = 256, "a single reading far off"
-    """The reading was out of range for up to three samples, and has come back to where it was."""
+    """The reading was out of range for up to three samples, and has returned."""
 
     STUCK = 512, "the channel keeps one value"
-    """The reading has not changed at all while the load did: the channel is out."""
+    """The reading does not change although the load does. The channel is not used."""
 
     DEAD = 1024, "the channel does not follow the load"
-    """The reading does not follow the load: the channel is out."""
+    """The reading does not follow the load. The channel is not used."""
 
     FLIPPED = 2048, "the channel has the wrong sign"
-    """The reading follows the load with the wrong sign: it is turned round."""
+    """The reading follows the load with the wrong sign. Its sign is reversed."""
 
-    SWAPPED = 4096, "the channel reads another one's load"
-    """The reading follows another channel's load: both are exchanged."""
+    SWAPPED = 4096, "the channel reads another channel's load"
+    """The reading follows another channel's load. The two channels are exchanged."""
 
-    LOST = 8192, "the channel is out; its force comes from the others"
-    """The channel is out, and its force is reconstructed from the foot's other channels."""
+    LOST = 8192, "the channel is not used; its force is estimated from the others"
+    """The channel is not used. Its force is reconstructed from the foot's other channels."""
 
     SATURATED = 16384, "the channel is at the end of its range"
-    """The reading stays at an end of its range: the channel is out while it does."""
+    """The reading is at an end of its range. The channel is not used until it returns."""
 
-    HELD = 32768, "something besides the feet carries or pushes the robot; nothing is learnt from its motion"
-    """Something besides the feet carries or pushes the robot: nothing is learnt from its motion."""
+    HELD = 32768, "an external force carries or pushes the robot; nothing is learnt from its motion"
+    """An external force carries or pushes the robot. Nothing is learnt from its motion."""
 
     WORSE_THAN_START = 65536, "the starting map agrees better with the motion than the learnt map does"
-    """The starting map would agree with the robot's motion and weight better than the learnt map does, by
-    samples that neither was learnt from: reset the calibration, or look for a fault of the robot's model."""
+    """On samples from which neither map was learnt, the starting map agrees better with the robot's motion
+    and weight than the learnt map does. Reset the calibration, or look for an error in the robot's model."""
 
 
 ALL_FLAGS = int(~Flag(0))  # every flag at once
 
 
 class Estimate(NamedTuple):
-    """Calibrated readings of one sample; a replay of N samples has N first in each field.
+    """Calibrated readings of one sample. In a replay, each field has the samples on its first axis.
 
     Forces, wrenches and parameters are always finite. A centre of pressure is NaN exactly where its
-    validity is false. Forces, and all that is made of them, are those of now: where readings are older by the
-    setup's ``age``, they are carried on from there (:mod:`surefoot.calibration.front_end.ages`).
+    validity is false. Forces, and all values computed from them, belong to the current time: readings that
+    are older by the setup's ``age`` are extrapolated (:mod:`surefoot.calibration.front_end.ages`).
 
     Attributes:
         force: Calibrated channels in N (or the channel's own unit), shape (K,).
@@ -100,23 +100,23 @@ class Estimate(NamedTuple):
         vgrf: Vertical force on each foot in the level frame in N, shape (2,).
         cop: Centre of pressure of both feet in the level frame of the reference in m, shape (2,).
         cop_foot: Centres of pressure in the sole frames in m, shape (2, 2).
-        cop_valid: Whether ``cop`` exists (bool), shape ().
-        cop_foot_valid: Where ``cop_foot`` exists (bool), shape (2,).
+        cop_valid: Whether ``cop`` is defined (bool), shape ().
+        cop_foot_valid: Whether ``cop_foot`` is defined (bool), shape (2,).
         scale: Newtons per unit of the reading (a count), shape (K,).
-        offset: Force that a reading of zero stands for in N, shape (K,).
+        offset: Force at a reading of zero in N, shape (K,).
         covariance: Covariance of (scale, offset) relative to the starting map, that is of (a, b) in
-            F = a F0 + b, shape (2K, 2K); ``None`` for a method that claims none.
+            F = a F0 + b, shape (2K, 2K). ``None`` if the method does not report one.
         flags: :class:`Flag` bits of each channel (integers), shape (K,).
         force_std: Standard deviation of ``force`` by that covariance in N, shape (K,), or ``None``.
-        cop_covariance: Covariance of ``cop`` by it in m^2, shape (2, 2), NaN where there is no centre of
-            pressure; or ``None``.
+        cop_covariance: Covariance of ``cop`` by it in m^2, shape (2, 2), NaN if ``cop`` is not defined, or
+            ``None``.
         nis: Normalised innovation squared of the update at this sample, shape (), NaN at samples without
             one; or ``None``.
         nis_rows: Number of rows, its degrees of freedom, shape (), or ``None``.
-        cop_measured: Centre of pressure of the forces as they were read, in m, shape (2,), NaN where they
-            have none; ``cop`` itself where readings have no age.
-        undetermined: Share of each scale's variance at the start that the data have left, from 0 to 1, shape
-            (K,): where it is 1, the scale is the starting map's; or ``None``.
+        cop_measured: Centre of pressure of the forces without extrapolation, in m, shape (2,), NaN if it is
+            not defined. It equals ``cop`` if readings have no age.
+        undetermined: Posterior variance of each scale as a share of its prior variance, from 0 to 1, shape
+            (K,). At 1 the data have not determined the scale. Or ``None``.
         contact_probability: Probability that a foot bears load, shape (2,), or ``None``.
     """
 

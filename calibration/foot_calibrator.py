@@ -1,4 +1,4 @@
-"""A calibrator for people at a robot: an online method that keeps its own state."""
+"""The calibrator for a robot's control loop: an online method together with its state."""
 
 from collections.abc import Mapping
 from hashlib import sha256
@@ -28,27 +28,26 @@ from surefoot.pickles import OfOneVersion
 class FootCalibrator(OfOneVersion):
     """Calibrate the feet of a robot while it moves.
 
-    A thin object over the pure functions of :mod:`surefoot.calibration.online`, which carries their state
-    along, for one robot. A method of this package runs in C where the library of
-    :mod:`surefoot.calibration.native` lies, with the same numbers to rounding.
+    It calls the pure functions of :mod:`surefoot.calibration.online` for one robot and stores their state.
+    The methods of this package run in C if the library is compiled, with the same results up to rounding.
 
     Args:
         layout: How the channels make up the feet's wrenches.
-        method: A key of :data:`~surefoot.calibration.online.METHODS`, ``"module:name"`` for one of yours, or
-            options as a value, such as ``Moment(scale_std=0.2)``.
-        mass: Mass of the robot as it believes it, in kg.
-        initial: The map to start from, the nominal one or that of known weights; by default readings are
-            taken for newtons. Also the JSON file that ``surefoot calibrate weights`` writes, or its contents,
-            with its curves.
-        curves: Curves of channels that are not linear, as known weights show them, in front of all maps.
+        method: A key of :data:`~surefoot.calibration.online.METHODS`, ``"module:name"`` for a method of your
+            own, or the options of a method, such as ``Moment(scale_std=0.2)``.
+        mass: Mass of the robot as the robot knows it, in kg.
+        initial: The starting map, for example the nominal one or one from known weights. Also the JSON file
+            that ``surefoot calibrate weights`` writes, or its contents, with its curves. By default, readings
+            are forces in newtons.
+        curves: Curves that linearise the channels before all maps, as measured with known weights.
         dt: Nominal time between samples in s.
         lag: How many samples ago the foot sample was taken that a reference describes: 2 at 80 Hz for
-            telemetry that comes 20 ms late, 0 without delay.
-        options: ``gravity`` in m/s^2 where it is not 9.81, and further fields of
+            telemetry that arrives 20 ms late, 0 without delay.
+        options: ``gravity`` in m/s^2 if it is not 9.81, further fields of
             :class:`~surefoot.calibration.online.OnlineSetup` and options of the method.
 
     Raises:
-        ValueError: If the method or an option does not exist, or a value has no meaning.
+        ValueError: If the method or an option does not exist, or a value is out of range.
 
     >>> import numpy as np
     >>> from surefoot.calibration.layout import nao_shoe_layout
@@ -85,8 +84,8 @@ class FootCalibrator(OfOneVersion):
     ) -> None:
         self.method, options = resolve_method(method, options)
         if isinstance(initial, str | PathLike | Mapping):
-            initial, own = read_map(initial, layout.channel_names)
-            curves = own if curves is None else curves
+            initial, map_curves = read_map(initial, layout.channel_names)
+            curves = map_curves if curves is None else curves
         self.setup, options = setup_from_options(
             layout, mass=mass, initial=initial, dt=dt, lag=lag, options=options
         )
@@ -94,21 +93,22 @@ class FootCalibrator(OfOneVersion):
         self._curves = curves if curves is not None and curves.any else None
         if self._curves is not None and len(self._curves.knots) != layout.channels:
             raise ValueError(
-                f"'curves' are of {len(self._curves.knots)} channels, and the layout has {layout.channels}."
+                f"'curves' are for {len(self._curves.knots)} channels, but the layout has {layout.channels}."
             )
         self._begin()
 
     def _begin(self) -> None:
-        """Build the method from the setup and the options, and choose who runs it."""
+        """Build the method from the setup and the options, and choose its backend."""
         self._pure = online_method(self.method, self.setup, **self._options)
-        each = (native_filter(room, self.method, self.setup, self._options) for room in CALIBRATION.rooms())
-        native = next(filter(None, each), None)
+        libraries = CALIBRATION.rooms()
+        filters = (native_filter(library, self.method, self.setup, self._options) for library in libraries)
+        native = next(filter(None, filters), None)
         self._backend: FilterBackend = LibraryFilter(native, self._pure) if native else self._in_python()
 
     def _in_python(self) -> PythonFilter:
-        """Return the backend of a method in Python, which may be a user's."""
+        """Return the Python backend of a method, which may be the user's."""
         state = self._pure.init(np.zeros(self.setup.layout.channels))
-        # A method that learns nothing has no more than what it remembers of the stream.
+        # The state of a method that learns nothing is the FrontState itself.
         if not isinstance(getattr(state, "front", state), FrontState):
             raise TypeError(
                 f"Method {self.method!r} has a state {type(state).__name__} without a FrontState as 'front'; "
@@ -117,27 +117,27 @@ class FootCalibrator(OfOneVersion):
         return PythonFilter(self._pure)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {**super().__getstate__(), "state": self.state}
-        return {name: part for name, part in kept.items() if name not in ("_pure", "_backend")}
+        attributes = {**super().__getstate__(), "state": self.state}
+        return {name: value for name, value in attributes.items() if name not in ("_pure", "_backend")}
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        state = kept.pop("state", None)
-        super().__setstate__(kept)
+    def __setstate__(self, attributes: dict[str, Any]) -> None:
+        state = attributes.pop("state", None)
+        super().__setstate__(attributes)
         self._begin()
         self.state = state
 
     @property
     def state(self) -> Any:
-        """The state, a value that can be kept and given back; ``None`` before the first sample."""
+        """The state, a value that can be stored and set again, or ``None`` before the first sample."""
         return self._backend.state
 
     @state.setter
-    def state(self, kept: Any) -> None:
-        self._backend.state = kept
+    def state(self, state: Any) -> None:
+        self._backend.state = state
 
     @property
     def limits(self) -> Mapping[str, tuple[Any, Any]]:
-        """Least and greatest values of the state's leaves that :meth:`load` accepts."""
+        """Smallest and largest values of the state's leaves that :meth:`load` accepts."""
         return self._pure.limits
 
     def update(
@@ -146,19 +146,19 @@ class FootCalibrator(OfOneVersion):
         reference: Reference | MomentumReference | ReferenceRecord,
         dt: float | None = None,
     ) -> Estimate:
-        """Take in one sample.
+        """Process one sample.
 
         Args:
-            raw: Readings, shape (K,). NaN: no sample arrived.
-            reference: The robot's beliefs ``lag`` samples ago, in NumPy arrays, or a record; method
-                ``"moment"`` takes a :class:`~surefoot.calibration.MomentumReference` as well.
-            dt: Time since the last sample in s; the nominal one by default.
+            raw: Readings, shape (K,). NaN means that no reading arrived.
+            reference: The robot's state estimate ``lag`` samples ago. The method ``"moment"`` also takes a
+                :class:`~surefoot.calibration.MomentumReference`.
+            dt: Time since the last sample in s, by default the nominal time.
 
         Returns:
             The calibrated sample.
 
         Raises:
-            ValueError: If an array has a wrong shape, such as that of several robots.
+            ValueError: If an array has a wrong shape, for example that of several robots.
         """
         raw = np.asarray(raw, dtype=np.float64)
         if self._curves is not None:
@@ -168,72 +168,72 @@ class FootCalibrator(OfOneVersion):
 
     @property
     def library(self) -> Library | None:
-        """The library that it runs in, if it does."""
+        """The library in which the filter runs, or ``None`` if it runs in Python."""
         return self._backend.library
 
     def native(self) -> tuple[NativeFilter, StateRecord] | None:
-        """Return the library's filter and its state, for somebody who goes on with both.
+        """Return the library's filter and its state, for callers that step them directly.
 
-        ``None`` where the filter runs in Python, or has curves in front of it that the library does not know.
+        ``None`` if the filter runs in Python, or has curves, which the library does not apply.
         """
         return None if self._curves is not None else self._backend.native()
 
     def retract(self) -> None:
-        """Take back the learning of the last seconds, for a robot that has fallen or was seized.
+        """Discard what was learnt in the last seconds, after the robot has fallen or was seized.
 
-        Both begin before anybody notices. The moment filter goes back by 1.5 to 3 s, and hands out nothing
-        new before it has learnt for 1.5 s again; other methods go on as they are.
+        Both begin before they are detected. The moment filter returns to its estimate of 1.5 to 3 s ago and
+        keeps that until it has learnt for 1.5 s again. Other methods do nothing.
         """
         self._backend.retract()
 
     def reset(self) -> None:
-        """Drop all that was learnt: the next sample begins from the starting map."""
+        """Discard everything that was learnt. The next sample begins from the starting map."""
         self.state = None
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write everything that was learnt to a file, an ``.npz`` without pickles.
+        """Write everything that was learnt to an ``.npz`` file without pickles.
 
         Raises:
-            RuntimeError: If no sample came yet.
-            ValueError: If the state holds values that :meth:`load` would refuse, or something else than a
-                regular file bears the name; the old file is left as it is.
+            RuntimeError: If there was no sample yet.
+            ValueError: If the state holds values that :meth:`load` would refuse, or the path is not that of a
+                regular file. An existing file is then left unchanged.
         """
         if self.state is None:
             raise RuntimeError("There is nothing to save before the first update().")
         save_state(path, self.state, self.limits, **self._notes(), mass=repr(float(self.setup.mass)))
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on from a file that :meth:`save` wrote: estimates are the same, bit for bit.
+        """Continue from a file that :meth:`save` wrote, with bit-identical estimates.
 
-        Only the comparison with the starting map (:attr:`Flag.WORSE_THAN_START`) begins again, as sensors may
-        have changed meanwhile. The robot's mass may have changed by up to a fifth, for example with another
-        battery: a warning says so, and the map of the channels is kept.
+        Only the comparison with the starting map (:attr:`Flag.WORSE_THAN_START`) begins again, because the
+        sensors may have changed in the meantime. The robot's mass may have changed by up to a fifth, for
+        example with another battery. This raises a warning, and the map of the channels is kept.
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: If the file is not from this method and setup, its arrays do not fit, or they hold
-                impossible values; the calibration stays as it was.
+            ValueError: If the file belongs to another method or setup, or its arrays do not fit or are
+                implausible. The calibration then does not change.
         """
         fresh = self._pure.init(np.zeros(self.setup.layout.channels))
         state = load_state(path, fresh, self.limits, **self._notes())
         self.adopt(state, mass_share(path, float(self.setup.mass)))
 
     def adopt(self, state: Any, share: float = 1.0) -> None:
-        """Go on from a state of this robot, when its mass was a share of the present one."""
+        """Continue from a state that was saved when the robot's mass was ``share`` of the present one."""
         self.state = self._pure.adopt(state, share)
 
     def _notes(self) -> dict[str, str]:
-        """Name the setup that a saved state belongs to."""
+        """Describe the setup that a saved state belongs to."""
         setup = self.setup
-        # Adding zero makes -0.0 the 0.0 that it equals.
+        # Adding zero turns -0.0 into 0.0.
         wrench_map = np.asarray(setup.layout.wrench_map, dtype=np.float64) + 0.0
         maps = zip(Parameters._fields, setup.initial, strict=True)
         return {
             "method": plain_name(self.method),
-            # Offsets of earlier versions stood behind the scale: their states would be misread.
+            # Earlier versions defined offsets after scaling, so their states must not be loaded.
             **({"unknowns": "F = a (F0 + o)"} if self.method == "moment" else {}),
             "channels": " ".join(setup.layout.channel_names),
-            # Files of earlier versions do not name it.
+            # Files of earlier versions do not contain gravity.
             **({"gravity": repr(float(setup.gravity))} if setup.gravity != GRAVITY else {}),
             "dt": repr(float(setup.dt)),
             "lag": str(int(setup.lag)),

@@ -1,8 +1,8 @@
-"""A robot's beliefs about itself at one sample: the side that sensors are held against.
+"""A robot's state estimate at one sample, with which the foot sensors are compared.
 
-Everything here comes from encoders, an IMU and a model of the robot; nothing comes from the feet's
-sensors. Positions are given in any *level* frame: z against gravity, the origin and the heading as the
-robot likes, as long as all fields of one sample share them (a calibrator only ever takes differences).
+It is computed from encoders, an IMU and a model of the robot, never from the foot sensors. Positions are in
+any *level* frame: z is opposite to gravity, and the origin and heading are free as long as all fields of a
+sample share them, because calibrators only use differences.
 """
 
 from typing import NamedTuple
@@ -15,11 +15,11 @@ from surefoot.calibration.arrays import Array
 GRAVITY = 9.81
 """Standard acceleration of free fall used throughout, in m/s^2."""
 
-_DIGITS = 2e-3  # of a tenth of a kilogram's weight: newtons with three decimals
+_DIGITS = 2e-3  # tolerance in units of 0.981 N: newtons written with three decimals
 
 
 def look_like_newtons(masses: ArrayLike) -> bool:
-    """Return whether masses in kg, zeros aside, are several weights in newtons of tenths of a kilogram."""
+    """Return whether nonzero masses in kg look like weights in newtons of whole tenths of a kilogram."""
     different = np.unique(masses)
     tenths = 10.0 / GRAVITY * different[different != 0.0]
     whole = np.maximum(np.rint(tenths), 1.0)
@@ -27,7 +27,7 @@ def look_like_newtons(masses: ArrayLike) -> bool:
 
 
 class Reference(NamedTuple):
-    """One sample of a robot's beliefs; a log of N samples has N first in each field.
+    """One sample of a robot's state estimate. In a log, each field has the samples on its first axis.
 
     Attributes:
         com: Centre of mass in the level frame in m, shape (3,).
@@ -35,9 +35,9 @@ class Reference(NamedTuple):
         angular_momentum_rate: Rate of the centroidal angular momentum in N m, shape (3,).
         position_sole: Origins of the sole frames in the level frame in m, shape (F, 3).
         R_level_sole: Rotations from the sole frames to the level frame, shape (F, 3, 3).
-        stance: Feet that the robot is sure to have on the ground (bool), shape (F,).
-        swing: Feet that the robot is sure to have in the air (bool), shape (F,). A foot in a
-            transition is neither.
+        stance: Whether each foot is certainly on the ground (bool), shape (F,).
+        swing: Whether each foot is certainly in the air (bool), shape (F,). During a transition a foot is
+            neither.
         accelerometer: Specific force at the IMU in its own axes in m/s^2, shape (3,).
         gyroscope: Angular velocity of the IMU in its own axes in rad/s, shape (3,).
     """
@@ -54,11 +54,12 @@ class Reference(NamedTuple):
 
 
 class MomentumReference(NamedTuple):
-    """One sample of a robot's beliefs as momentum, for method ``"moment"``; a log has N first in all.
+    """One sample of a robot's state estimate as momentum, for the method ``"moment"``.
 
-    A robot measures velocities, not accelerations. All fields are of the *end* of the interval that the
-    reading covers, in one level frame that neither turns nor moves with the robot: a sole that stands stays
-    where it is. That frame may drift, as odometry does, as far as the noise of the velocity allows.
+    A robot measures velocities, not accelerations. All fields describe the *end* of the interval that the
+    reading covers, in a level frame that does not move with the robot: a stance sole does not move in it.
+    The frame may drift, as odometry does, within the noise of the velocity. In a log, each field has the
+    samples on its first axis.
 
     Attributes:
         com: Centre of mass in m, shape (3,).
@@ -66,8 +67,8 @@ class MomentumReference(NamedTuple):
         angular_momentum: Angular momentum about the centre of mass in kg m^2/s, shape (3,).
         position_sole: Origins of the sole frames in m, shape (F, 3).
         R_level_sole: Rotations from the sole frames to that frame, shape (F, 3, 3).
-        stance: As of :class:`Reference`, shape (F,).
-        swing: As of :class:`Reference`, shape (F,).
+        stance: See :class:`Reference`, shape (F,).
+        swing: See :class:`Reference`, shape (F,).
     """
 
     com: Array
@@ -80,7 +81,7 @@ class MomentumReference(NamedTuple):
 
 
 def reference_shapes(feet: int) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the fields of both kinds of reference, of a robot on so many feet."""
+    """Return the shapes of the fields of both kinds of reference by name, for a number of feet."""
     vectors = "com", "com_acceleration", "angular_momentum_rate", "com_velocity", "angular_momentum"
     return dict.fromkeys((*vectors, "accelerometer", "gyroscope"), (3,)) | {
         "position_sole": (feet, 3),

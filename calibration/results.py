@@ -1,4 +1,4 @@
-"""The result of an offline fit besides its value: findings of checks, and the error if there is none."""
+"""What an offline fit returns in addition to its value: statistics, findings of checks, and refusals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,21 +12,21 @@ class FitResult(StrEnum):
     """Every unknown follows from the data."""
 
     PARTLY_DETERMINED = "partly determined"
-    """Directions that the data do not excite were left where they started; see the rank."""
+    """Directions that the data do not excite keep their starting values. See the rank."""
 
     REFUSED = "refused"
-    """The data do not determine it; the reasons are with the fit."""
+    """The data do not determine it. The fit holds the reasons."""
 
     ACCEPTED = "accepted"
-    """It was refused, and was made all the same as somebody gave a reason; both are with the fit."""
+    """It would be refused, but the caller gave a reason to accept it. The fit holds both."""
 
 
 class CalibrationRefused(ValueError):  # noqa: N818 - a refusal is not an error of the program
-    """Raised by a fit that the data do not determine.
+    """Raised if the data do not determine a fit.
 
     Attributes:
-        reason: The missing data.
-        cure: The cure.
+        reason: What is missing or wrong.
+        cure: The remedy.
 
     >>> raise CalibrationRefused("Only one load was seen.", "Add a reading without load.")
     Traceback (most recent call last):
@@ -45,45 +45,45 @@ class CalibrationRefused(ValueError):  # noqa: N818 - a refusal is not an error 
 
 @dataclass(frozen=True)
 class FitStats:
-    """How a fit came out."""
+    """Statistics of a fit."""
 
     samples: int  # samples that were used
     dropped: int  # samples left out because a value was missing or not finite
-    gated: int  # samples left out by the method's own gates (too little force, too much motion)
+    gated: int  # samples left out by the method's thresholds (too little force, too much motion)
     residual_rms: float  # root mean square of the residual, in the unit of the fitted data
-    rank: int  # number of unknown directions that the data determined
+    rank: int  # number of directions of the unknowns that the data determined
     unknowns: int  # number of unknowns
     condition: float
-    """Condition number of the scaled least-squares matrix, infinite where the rank is short; for a fit with
-    priors, the ratio of the least to the most certain direction's deviation."""
+    """Condition number of the scaled least-squares matrix, infinite if it is rank deficient. For a fit with
+    priors: largest over smallest posterior standard deviation of a direction."""
 
 
 @dataclass(frozen=True)
 class Finding:
     """Result of a check."""
 
-    name: str  # of the check
+    name: str  # name of the check
     reason: str  # the observation, in a sentence
-    cure: str = ""  # advice for the user; empty if nothing need be done
-    value: float = float("nan")  # that was held against a limit
+    cure: str = ""  # advice for the user, empty if no action is needed
+    value: float = float("nan")  # the value that was compared with the limit
     limit: float = float("nan")  # the limit
-    refuses: bool = True  # whether an answer must not be given without a reason of the caller's
+    refuses: bool = True  # whether the result is refused unless the caller accepts it with a reason
     contradicts: bool = False
-    """Whether sets contradict each other or themselves, for which there may be many causes."""
+    """Whether sets contradict each other or themselves, which can have many causes."""
 
     @property
     def refusal(self) -> CalibrationRefused:
-        """The finding as an error to raise."""
+        """The finding as an exception."""
         return CalibrationRefused(self.reason, self.cure)
 
     def with_cause(self, likeliest: str, cure: str) -> "Finding":
-        """Add the likeliest cause, in words, and its cure."""
+        """Return the finding with a sentence about its likeliest cause, and the cure of that cause."""
         return replace(self, reason=f"{self.reason} {likeliest}", cure=cure)
 
 
 @dataclass(frozen=True)
 class Decision:
-    """Verdict on findings: ``refused`` without a reason, ``passed`` with one, and warnings."""
+    """Decision on findings: the refusals (``refused``, or ``passed`` if accepted), and the warnings."""
 
     refused: tuple[CalibrationRefused, ...]
     passed: tuple[CalibrationRefused, ...]
@@ -91,8 +91,8 @@ class Decision:
 
 
 def decide(findings: Sequence[Finding], accept: str) -> Decision:
-    """Return the decision on findings: one that refuses does so unless a reason to go on was given."""
-    once = list(dict.fromkeys(findings))
-    refusals = tuple(one.refusal for one in once if one.refuses)
-    warnings = tuple(f"{one.reason} {one.cure}".rstrip() for one in once if not one.refuses)
+    """Return the decision on findings. Findings refuse unless ``accept``, a reason to continue, is given."""
+    unique = list(dict.fromkeys(findings))
+    refusals = tuple(finding.refusal for finding in unique if finding.refuses)
+    warnings = tuple(f"{finding.reason} {finding.cure}".rstrip() for finding in unique if not finding.refuses)
     return Decision(() if accept else refusals, refusals if accept else (), warnings)

@@ -1,4 +1,4 @@
-"""An online method, and its setup: the facts about the robot."""
+"""The type of an online method, and the setup that describes the robot to it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from surefoot.calibration.reference import GRAVITY
 
 
 def method_name(name: Any) -> str:
-    """Return a method's name, with the module of a user's, ``"module:name"``; TypeError if it is none."""
+    """Return a method's name, such as ``"moment"`` or ``"module:name"``, or raise TypeError."""
     if not isinstance(name, str):
         raise TypeError(
             "'method' must be a name, such as 'moment', or its options, such as Moment(scale_std=0.2), "
@@ -34,19 +34,18 @@ class _Functions(NamedTuple):
 
 
 class OnlineMethod(_Functions):
-    """An online calibrator of one robot as pure functions: three of them, when it is unpacked.
+    """An online calibrator of one robot as pure functions. It unpacks to ``init, update, retract``.
 
     Attributes:
-        init: ``init(raw) -> state``. ``raw``, float64 of shape (K,), is a reading whose values do not matter.
-        update: ``update(state, raw, reference, dt) -> (state, Estimate)``; the reference is a
-            :class:`~surefoot.calibration.reference.Reference`, or another that the method takes.
-        retract: ``retract(state) -> state`` takes back the learning of the last seconds, as something
-            happened to the robot that began before it was noticed, such as a fall. Methods that remember no
-            earlier state leave theirs as it is.
-        limits: Least and greatest value that leaves of the state can have, by the last part of their names; a
-            saved state beyond them is refused (:func:`surefoot.calibration.state.load_state`).
-        adopt: ``adopt(state, share) -> state`` goes on from a saved state of the same robot, whose former
-            weight was a share of the present one.
+        init: ``init(raw) -> state``. ``raw``, float64 of shape (K,), is a reading. Its values are not used.
+        update: ``update(state, raw, reference, dt) -> (state, Estimate)``. The reference is a
+            :class:`~surefoot.calibration.reference.Reference`, or another type that the method takes.
+        retract: ``retract(state) -> state`` discards what was learnt in the last seconds, because an event
+            such as a fall begins before it is detected. Methods without earlier states return ``state``.
+        limits: Smallest and largest values of leaves of the state, by the last part of their names. A saved
+            state outside them is refused (:func:`surefoot.calibration.state.load_state`).
+        adopt: ``adopt(state, share) -> state`` converts a saved state of the same robot, whose weight was
+            ``share`` of the present one.
     """
 
     limits: Mapping[str, tuple[Any, Any]]
@@ -60,7 +59,7 @@ class OnlineMethod(_Functions):
         limits: Mapping[str, tuple[Any, Any]] = MappingProxyType({}),
         adopt: Callable[[Any, float], Any] = lambda state, share: state,
     ) -> "OnlineMethod":
-        """Keep the functions as a tuple, and the rest beside it."""
+        """Store the functions as a tuple, and the other parts as attributes."""
         self = super().__new__(cls, init, update, retract)
         self.limits, self.adopt = limits, adopt
         return self
@@ -68,43 +67,43 @@ class OnlineMethod(_Functions):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OnlineSetup:
-    """The facts about the robot that every online method is given."""
+    """The description of the robot that every online method receives."""
 
     layout: FeetLayout
     """How the channels make up the feet's wrenches."""
 
     mass: float
-    """Mass of the robot as it believes it, in kg."""
+    """Mass of the robot as the robot knows it, in kg."""
 
     initial: Parameters
-    """The map (c0, d0) to start from: the nominal one or that of known weights, shape (K,) each."""
+    """The starting map (c0, d0): the nominal one or one from known weights, shape (K,) each."""
 
     dt: float = 1.0 / 80.0
     """Nominal time between samples in s."""
 
     lag: int = 2
     """How many samples ago the foot sample was taken that a reference describes. The CoP paper's telemetry
-    comes 20 ms late, which is between one and two samples at 80 Hz; 0 on a robot without that delay."""
+    arrives 20 ms late, which is between one and two samples at 80 Hz. Zero without delay."""
 
     gravity: float = GRAVITY
-    """Acceleration of free fall where the robot is, in m/s^2: that of its world in a simulation."""
+    """Acceleration of free fall at the robot's location (or in its simulation) in m/s^2."""
 
     foot_length: float | None = None
-    """Length in m that errors of the centre of pressure are measured by; by default the cells' extent."""
+    """Unit of length for errors of the centre of pressure in m, by default the extent of the cells."""
 
     force_threshold: float = FORCE_THRESHOLD
-    """Vertical force in N at or below which there is no centre of pressure."""
+    """Vertical force in N at or below which the centre of pressure is not defined."""
 
     plausible_weights: float = 20.0
-    """Force of one channel, in body weights, beyond which a reading is taken for an error."""
+    """Force of one channel, in body weights, above which a reading counts as an error."""
 
     age: ArrayLike = 0.0
-    """Mean age in s of a reading when it is taken, one for all channels or one each: half a conversion of a
-    chip that runs on its own clock, half of those that it averages before, and the delay of its wire. A
-    reference describes that moment, ``lag`` samples ago; estimates are brought from there to now."""
+    """Mean age of a reading when it is sampled in s, one value or one per channel: half a conversion time of
+    a chip with its own clock, half of the time over which it averages, and the transport delay. A reference
+    describes that moment, ``lag`` samples ago. Estimates are extrapolated from there to the current time."""
 
     def __post_init__(self) -> None:
-        """Raise an error if a value has no meaning."""
+        """Raise an error if a value is out of range."""
         check_kind("layout", self.layout, FeetLayout)
         check_positive(self, "mass", "dt", "gravity", "plausible_weights")
         if self.dt > 1.0:
@@ -115,7 +114,7 @@ class OnlineSetup:
                 f"'initial' must be Parameters(scale, offset), got {type(self.initial).__name__}."
             )
         if not is_whole(self.lag) or self.lag < 0:
-            raise ValueError(f"'lag' must be a whole number of samples from 0 on, got {self.lag!r}.")
+            raise ValueError(f"'lag' must be a whole number of samples, at least 0, got {self.lag!r}.")
         object.__setattr__(self, "lag", int(self.lag))
         for field, value in zip(Parameters._fields, self.initial, strict=True):
             shape = np.shape(value)
@@ -138,7 +137,7 @@ class OnlineSetup:
             check_positive(self, "foot_length")
         elif any(foot.position_cell_sole is None for foot in self.layout.feet):
             raise ValueError(
-                "'foot_length' must be given in m for a layout whose channels have no positions of their own."
+                "'foot_length' is required (in m) for a layout whose channels have no positions."
             )
 
     @property
@@ -148,7 +147,7 @@ class OnlineSetup:
 
     @property
     def length(self) -> float:
-        """The length of a foot in m: as given, or the longest extent of a foot's cells."""
+        """The length of a foot in m: ``foot_length``, or the largest extent of a foot's cells."""
         if self.foot_length is not None:
             return self.foot_length
         return max(
@@ -167,12 +166,12 @@ def setup_from_options(
     lag: int,
     options: dict[str, Any],
 ) -> tuple[OnlineSetup, dict[str, Any]]:
-    """Return a setup, and the options that are not the setup's but the method's.
+    """Return a setup, and the remaining options, which are those of the method.
 
-    Without an initial map readings are taken for newtons.
+    Without an initial map, readings are forces in newtons.
     """
     check_kind("layout", layout, FeetLayout)
-    own = {"gravity", "foot_length", "force_threshold", "plausible_weights", "age"} & set(options)
+    of_setup = {"gravity", "foot_length", "force_threshold", "plausible_weights", "age"} & set(options)
     setup = OnlineSetup(
         layout=layout,
         mass=mass,
@@ -181,6 +180,6 @@ def setup_from_options(
         else initial,
         dt=dt,
         lag=lag,
-        **{name: options[name] for name in own},
+        **{name: options[name] for name in of_setup},
     )
-    return setup, {name: value for name, value in options.items() if name not in own}
+    return setup, {name: value for name, value in options.items() if name not in of_setup}

@@ -125,5 +125,5 @@ def test_a_calibrator_has_them_in_front(library: bool, monkeypatch: pytest.Monke
     for k, raw in enumerate(log.raw):
         row = Reference(*(part[k] for part in log.reference))
         np.testing.assert_array_equal(bent.update(raw, row).force, plain.update(straight[k], row).force)
-    with pytest.raises(ValueError, match=r"'curves' are of 2 channels, and the layout has 8\."):
+    with pytest.raises(ValueError, match=r"'curves' are for 2 channels, but the layout has 8\."):
         FootCalibrator(LAYOUT, mass=MASS, curves=Curves([None, KNOTS]))

@@ -117,7 +117,7 @@ def test_curves_stand_in_front(log):
         for i, calibrator in enumerate(alone):
             own = type(reference)(*(part[i].cpu().numpy() for part in reference))
             np.testing.assert_allclose(found[i], calibrator.update(raw[i].double().cpu().numpy(), own).force)
-    with pytest.raises(ValueError, match=r"'curves' are of 1 channels, and the layout has 8\."):
+    with pytest.raises(ValueError, match=r"'curves' are for 1 channels, but the layout has 8\."):
         make("none", curves=Curves([knots]))
 
 
