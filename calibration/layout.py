@@ -1,8 +1,8 @@
 """How the calibrated channels of a foot add up to the wrench on its sole.
 
-Every foot sensor is an affine map from raw channels to forces; the difference between four load cells
-from a six-axis sensor at the ankle is only how those forces add up. That is a 6 x k matrix, and it is
-all that a calibrator knows of a foot's hardware.
+Every foot sensor is an affine map from raw channels to forces. Four load cells and a six-axis sensor at the
+ankle differ only in how these forces add up to a wrench. A 6 x k matrix describes this. A calibrator needs no
+other information about the hardware of a foot.
 
 A wrench is (fx, fy, fz, tx, ty, tz), exerted by the ground on the robot, at and in the sole frame:
 x forward, y left, z up, the origin below the ankle on the face that touches the ground.
@@ -26,18 +26,18 @@ FORCE_TORQUE_NAMES = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 @dataclass(frozen=True, eq=False)
 class FootSensor:
-    """One instrument of a foot: which channels are its own, and which mass hangs beyond it.
+    """One instrument of a foot: its channels, and the mass below it.
 
-    The mass beyond a sensor (the sole plate under load cells, the whole foot below an ankle sensor) moves
-    with the foot, so that the sensor feels its inertia. Its weight at level rest counts as part of the
-    offset.
+    The mass below a sensor (the sole plate below load cells, the whole foot below an ankle sensor) moves with
+    the foot, so that the sensor measures its inertial force. Its weight at rest on level ground is part of
+    the offset.
     """
 
     channels: slice  # its channels within the foot
-    wrench_map: Floats  # its own sole wrench per unit of each of its channels, shape (6, channels)
-    six_axis: bool  # whether its channels are the axes of one six-axis sensor, which may talk across
-    share: Floats  # share of its wrench in the foot's, axis by axis, shape (6,)
-    mass_below: float = 0.0  # mass beyond it in kg
+    wrench_map: Floats  # sole wrench per unit of each of its channels, shape (6, channels)
+    six_axis: bool  # whether its channels are the axes of one six-axis sensor, which may have cross-talk
+    share: Floats  # weight of its wrench in the foot's wrench, per axis, shape (6,)
+    mass_below: float = 0.0  # mass below it in kg
     com_below_sole: Floats = field(default_factory=lambda: np.zeros(3))
     """Centre of that mass in the sole frame in m, shape (3,)."""
 
@@ -50,10 +50,10 @@ class FootLayout:
         name: The foot's name in messages and logs, such as ``"left"``.
         wrench_map: Sole wrench per unit of each calibrated channel, shape (6, k).
         channel_names: k names, such as ``"front-left"``.
-        position_cell_sole: Positions of load cells in the sole frame in m, shape (k, 3), or ``None``
-            for a sensor whose channels are not forces at a place.
-        sensors: The instruments that the channels belong to; by default one.
-        flat: Whether it stands on a flat sole; a ball stands however it is turned.
+        position_cell_sole: Positions of load cells in the sole frame in m, shape (k, 3), or ``None`` if the
+            channels are not forces at points.
+        sensors: The instruments to which the channels belong, by default one.
+        flat: Whether the sole is flat, as opposed to round.
     """
 
     name: str
@@ -64,7 +64,7 @@ class FootLayout:
     flat: bool = True
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the map is none."""
+        """Raise ValueError if the wrench map is invalid."""
         if self.wrench_map.ndim != 2 or self.wrench_map.shape[0] != 6:
             raise ValueError(
                 f"The wrench map of foot '{self.name}' must have shape (6, channels), "
@@ -98,22 +98,22 @@ class FootLayout:
     ) -> "FootLayout":
         """Describe a foot on single-axis load cells.
 
-        Each cell carries a vertical force at its own place, so that the cells of a foot add up to
-        (fz, tx, ty) = (sum F_i, sum y_i F_i, -sum x_i F_i); the other three rows stay 0. A foot on one cell
-        has no centre of pressure of its own, as one of :meth:`point`.
+        Each cell measures a vertical force at its position, so that the cells of a foot add up to
+        (fz, tx, ty) = (sum F_i, sum y_i F_i, -sum x_i F_i). The other three rows are 0. A foot with a single
+        cell does not measure its centre of pressure, like a foot of :meth:`point`.
 
         Args:
             name: The foot's name in messages and logs.
-            position_cell_sole: Positions of the cells in the sole frame in m, shape (k, 2) or (k, 3), of one
-                cell or of three or more; four cells are ordered (front-left, front-right, rear-left,
+            position_cell_sole: Positions of the cells in the sole frame in m, shape (k, 2) or (k, 3), for one
+                cell or at least three. Four cells are ordered (front-left, front-right, rear-left,
                 rear-right).
-            channel_names: Names of the cells; four cells need none.
+            channel_names: Names of the cells. Four cells have default names.
             mass_below: Mass of the sole plate under the cells in kg.
             com_below_sole: Its centre of mass in the sole frame in m, shape (3,).
 
         Raises:
-            ValueError: If no or two cells are given, if they lie on one line, if a position is not
-                finite, or if the mass is negative.
+            ValueError: If there are no or two cells, they are collinear, a position is not finite, or the
+                mass is negative.
 
         >>> foot = FootLayout.load_cells("left", [(0.1, 0.05), (0.1, -0.05), (-0.06, 0.05), (-0.06, -0.05)])
         >>> foot.wrench_map[2]
@@ -150,14 +150,14 @@ class FootLayout:
         Args:
             name: The foot's name in messages and logs.
             position_sensor_sole: Origin of the sensor's frame in the sole frame in m, shape (3,).
-            R_sole_sensor: Rotation from the sensor's frame to the sole frame, shape (3, 3); by default they
-                are parallel.
-            mass_below: Mass of the foot beyond the sensor in kg.
+            R_sole_sensor: Rotation from the sensor's frame to the sole frame, shape (3, 3), by default the
+                identity.
+            mass_below: Mass of the foot below the sensor in kg.
             com_below_sole: Its centre of mass in the sole frame in m, shape (3,).
 
         Raises:
-            ValueError: If a shape is wrong, a value is not finite, the rotation is none or the mass is
-                negative.
+            ValueError: If a shape is wrong, a value is not finite, ``R_sole_sensor`` is not a rotation, or
+                the mass is negative.
 
         >>> foot = FootLayout.force_torque("left", position_sensor_sole=(0.0, 0.0, 0.05))
         >>> foot.wrench_map @ (10.0, 0.0, 50.0, 0.0, 0.0, 0.0)
@@ -172,18 +172,18 @@ class FootLayout:
 
     @classmethod
     def point(cls, name: str, axes: str = "z", *, R_sole_sensor: ArrayLike | None = None) -> "FootLayout":
-        """Describe a foot that touches the ground at one point, the origin of its frame: a quadruped's.
+        """Describe a foot that touches the ground at one point, the origin of its frame, as on a quadruped.
 
-        Its channels are forces there. Of its centre of pressure nothing needs to be measured.
+        Its channels are forces at this point, which is also its centre of pressure.
 
         Args:
             name: The foot's name in messages and logs.
-            axes: Which forces are measured: ``"z"`` alone, or any of ``"xyz"`` in this order.
-            R_sole_sensor: Rotation from the sensor's axes to those of the foot, shape (3, 3); by default they
-                are parallel.
+            axes: The measured force components: ``"z"``, or several of ``"xyz"`` in this order.
+            R_sole_sensor: Rotation from the sensor's axes to those of the foot, shape (3, 3), by default the
+                identity.
 
         Raises:
-            ValueError: If ``axes`` are none, or the rotation is no rotation.
+            ValueError: If ``axes`` is invalid, or ``R_sole_sensor`` is not a rotation.
 
         >>> FootLayout.point("front left", "xyz").channel_names
         ('fx', 'fy', 'fz')
@@ -199,23 +199,23 @@ class FootLayout:
     def combined(cls, name: str, *feet: "FootLayout") -> "FootLayout":
         """Describe a foot with several instruments, such as load cells below an ankle sensor.
 
-        Each instrument measures the same wrench on its own; the foot's is their mean over those that see an
-        axis at all. Calibrators that know of it hold the instruments against each other.
+        Each instrument measures the same wrench. The foot's wrench is the mean over the instruments that
+        measure an axis. Calibrators can also compare the instruments with each other.
 
         Args:
             name: The foot's name in messages and logs.
-            feet: The same foot with each of its instruments alone; their channels follow each other.
+            feet: Layouts of the same foot with one instrument each. Their channels are concatenated.
 
         Raises:
-            ValueError: If fewer than two are given, or two channels share a name.
+            ValueError: If there are fewer than two layouts, or two channels have the same name.
         """
         if len(feet) < 2:
             raise ValueError(f"Foot '{name}' combines instruments and needs at least two, got {len(feet)}.")
         names = tuple(channel for foot in feet for channel in foot.channel_names)
         if len(set(names)) != len(names):
             raise ValueError(f"Foot '{name}' combines channels of the same name: {names}; rename some.")
-        sees = np.array([(foot.wrench_map != 0.0).any(axis=1) for foot in feet], dtype=np.float64)
-        shares = sees / np.maximum(sees.sum(axis=0), 1.0)
+        measures = np.array([(foot.wrench_map != 0.0).any(axis=1) for foot in feet], dtype=np.float64)
+        shares = measures / np.maximum(measures.sum(axis=0), 1.0)
         ends = np.cumsum([0, *(foot.channels for foot in feet)]).tolist()
         sensors = tuple(
             replace(sensor, channels=slice(start + sensor.channels.start, start + sensor.channels.stop),
@@ -231,11 +231,11 @@ class FootLayout:
 
 @dataclass(frozen=True, eq=False)
 class FeetLayout:
-    """Both feet, ordered (left, right); their channels follow each other in one flat array.
+    """Both feet, ordered (left, right), with their channels concatenated in one flat array.
 
-    There may be any number of feet. A force plate or a balance board is one, a quadruped has four. All that
-    is documented with a 2 for the feet then has their number: of four, positions of the soles have shape (4,
-    3).
+    There may be any number of feet: one for a force plate or a balance board, four for a quadruped. Axes that
+    are documented with length 2 then have this length. With four feet, for example, the positions of the
+    soles have shape (4, 3).
 
     Attributes:
         feet: The layouts of the feet.
@@ -246,7 +246,7 @@ class FeetLayout:
     def __post_init__(self) -> None:
         """Raise ValueError if there is no foot, or two have the same name."""
         if not self.feet:
-            raise ValueError("A layout has one foot at least, such as a force plate; got none.")
+            raise ValueError("A layout needs at least one foot, such as a force plate; got none.")
         for i, foot in enumerate(self.feet):
             if not isinstance(foot, FootLayout):
                 raise TypeError(
@@ -263,7 +263,7 @@ class FeetLayout:
 
     @property
     def slices(self) -> tuple[slice, ...]:
-        """Where each foot's channels lie in the flat array."""
+        """The slice of each foot's channels in the flat array."""
         ends = np.cumsum([0, *(foot.channels for foot in self.feet)]).tolist()
         return tuple(slice(start, end) for start, end in pairwise(ends))
 
@@ -276,22 +276,22 @@ class FeetLayout:
     def wrench_map(self) -> Floats:
         """Sole wrenches per unit of each channel, shape (2, 6, K): zero for the other foot's channels."""
         combined = np.zeros((len(self.feet), 6, self.channels))
-        for i, (foot, where) in enumerate(zip(self.feet, self.slices, strict=True)):
-            combined[i, :, where] = foot.wrench_map
+        for i, (foot, channels) in enumerate(zip(self.feet, self.slices, strict=True)):
+            combined[i, :, channels] = foot.wrench_map
         return combined
 
     @property
     def foot_of_channel(self) -> NDArray[np.intp]:
-        """0 for a channel of the left foot and 1 for one of the right, shape (K,)."""
+        """The number of the foot to which each channel belongs, shape (K,)."""
         return np.repeat(np.arange(len(self.feet)), [foot.channels for foot in self.feet])
 
     def check_reading(self, raw: Any, what: str = "raw") -> None:
-        """Raise ValueError if readings are not those of one robot at one moment, shape (K,)."""
+        """Raise ValueError unless readings are one sample of one robot, shape (K,)."""
         self.check_raw(raw, what)
         check_shape(np.asarray(raw), (self.channels,), what)
 
     def check_raw(self, raw: Any, what: str = "raw") -> None:
-        """Raise ValueError if the last axis of readings is not the channels of this layout."""
+        """Raise ValueError unless the last axis of readings has the length K."""
         shape = np.shape(raw) if not hasattr(raw, "shape") else raw.shape
         if not shape or shape[-1] != self.channels:
             raise ValueError(
@@ -315,7 +315,7 @@ def _check_rotation(foot: str, value: ArrayLike | None) -> Floats:
 
 
 def _check_cells(name: str, position_cell_sole: ArrayLike) -> Floats:
-    """Return the places of a foot's cells, shape (k, 3); ValueError if they do not make a foot."""
+    """Return the positions of a foot's cells, shape (k, 3), or raise ValueError if they are invalid."""
     position = np.asarray(position_cell_sole, dtype=np.float64)
     if position.ndim != 2 or position.shape[0] in (0, 2) or position.shape[1] not in (2, 3):
         raise ValueError(
@@ -329,8 +329,8 @@ def _check_cells(name: str, position_cell_sole: ArrayLike) -> Floats:
     spread = np.linalg.svd(position[:, :2] - position[:, :2].mean(axis=0), compute_uv=False)
     if len(position) > 1 and spread[1] < 1e-6:
         raise ValueError(
-            f"The cells of foot '{name}' lie on one line, so that the centre of pressure beside it "
-            "is not determined; check the positions (metres, sole frame)."
+            f"The cells of foot '{name}' are on one line, so that the centre of pressure across it is not "
+            "determined; check the positions (metres, sole frame)."
         )
     return position
 
@@ -342,9 +342,9 @@ def _check_below(foot: str, mass: float, com: ArrayLike) -> tuple[float, Floats]
 
 
 def nao_shoe_layout() -> FeetLayout:
-    """Lay out the four-cell shoes of a NAO as Han's force-sensing shoes have their bearing corners.
+    """Return the layout of a NAO's four-cell shoes, with the cells of Han's force-sensing shoes.
 
-    Corners at (+-85, +-49) mm about (23.97, +-6.76) mm from the ankle's projection on the sole.
+    The cells are at (+-85, +-49) mm about a point (23.97, +-6.76) mm from the ankle's projection on the sole.
 
     >>> nao_shoe_layout().channels
     8

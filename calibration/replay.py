@@ -1,9 +1,8 @@
-"""Run an online method over a log: as the robot would have, or with hindsight.
+"""Run an online method over a log, causally or with the CoP paper's zero-phase filter.
 
-Causal replay is the stream itself, sample by sample: it gives the robot's knowledge at each moment.
-With ``zero_phase`` the forces and the accelerations pass the CoP paper's zero-phase filter of 10 Hz first,
-which no robot could do, and the method then filters nothing; use that to compare with the paper, never to
-judge a controller.
+A causal replay processes the log sample by sample, as the robot would. With ``zero_phase``, forces and
+accelerations first pass the CoP paper's zero-phase filter of 10 Hz, which is not possible online, and the
+method does not filter again. Use this to compare results with the paper, not to evaluate a controller.
 """
 
 from collections.abc import Callable, Iterable
@@ -41,28 +40,28 @@ def replay(
     watch: Callable[[range], Iterable[int]] = iter,
     **options: Any,
 ) -> Estimate:
-    """Run a method over a whole log of one robot, by a :class:`~surefoot.calibration.FootCalibrator`.
+    """Run a method over a log of one robot with a :class:`~surefoot.calibration.FootCalibrator`.
 
     Args:
         layout: How the channels make up the feet's wrenches.
         method: A key of :data:`~surefoot.calibration.online.METHODS`.
         raw: Readings, shape (N, K).
-        reference: The robot's beliefs as they were known at each sample, N first in each field.
-        dt: Time between samples in s, or the times since the sample before, shape (N,).
-        mass: Mass of the robot as it believes it, in kg.
-        initial: The map to start from; by default readings are taken for newtons.
-        lag: How many samples before its row a row's reference describes.
-        zero_phase: Whether to filter readings and accelerations forwards and backwards before; the forces
-            that come out are still those of the unfiltered readings.
-        watch: Iterates over the samples' numbers, and may show how far it is.
+        reference: The robot's state estimate at each sample, with N rows in each field.
+        dt: Time between samples in s, or the time since the previous sample, shape (N,).
+        mass: Mass of the robot as the robot knows it, in kg.
+        initial: The starting map. By default, readings are forces in newtons.
+        lag: How many samples earlier than its row a reference describes the feet.
+        zero_phase: Whether to filter readings and accelerations forwards and backwards first. The forces
+            returned are those of the unfiltered readings.
+        watch: Iterates over the sample numbers, for example to show progress.
         options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
             method.
 
     Returns:
-        The estimates of all samples, N first in each field.
+        The estimates of all samples, with N rows in each field.
 
     Raises:
-        ValueError: If a field has another length than the readings, or an array or option does not fit.
+        ValueError: If a field does not have as many rows as the readings, or an array or option is invalid.
     """
     name, options = resolve_method(method, options)
     readings = np.asarray(raw, dtype=np.float64)
@@ -79,37 +78,37 @@ def replay(
     if cutoff is not None:
         learnt_from = _filter_plausible(readings, *front_end.plausible, cutoff, nominal)
         learnt_with = _filter_accelerations(log, cutoff, nominal)
-    found = RowCollector(len(readings), held=("covariance",))
+    rows = RowCollector(len(readings), held=("covariance",))
     for k in watch(range(len(readings))):
-        found.put(k, calibrator.update(learnt_from[k], take_rows(learnt_with, k), float(steps[k])))
-    estimate: Estimate = found.collect()
+        rows.put(k, calibrator.update(learnt_from[k], take_rows(learnt_with, k), float(steps[k])))
+    estimate: Estimate = rows.collect()
     return estimate if cutoff is None else _estimate_by_maps(front_end, readings, log, steps, estimate)
 
 
 def _estimate_by_maps(
     front_end: FrontEnd, readings: Floats, log: Any, steps: Any, learnt: Estimate
 ) -> Estimate:
-    """Return the estimates of the unfiltered readings by maps that were learnt from filtered ones."""
-    front, found = front_end.init(readings[0]), RowCollector(len(readings), held=("covariance",))
+    """Return estimates for the unfiltered readings with maps that were learnt from filtered ones."""
+    front, rows = front_end.init(readings[0]), RowCollector(len(readings), held=("covariance",))
     for k in range(len(readings)):
-        one = take_rows(learnt, k)
+        filtered = take_rows(learnt, k)
         front, sample = front_end.observe(front, readings[k], take_rows(log, k), float(steps[k]))
-        own = Parameters(one.scale, one.offset).relative_to(front_end.setup.initial)
-        estimate = front_end.estimate(sample, *own, covariance=one.covariance)
-        found.put(k, estimate._replace(flags=one.flags | sample.flags))
-    whole: Estimate = found.collect()
-    return whole
+        correction = Parameters(filtered.scale, filtered.offset).relative_to(front_end.setup.initial)
+        estimate = front_end.estimate(sample, *correction, covariance=filtered.covariance)
+        rows.put(k, estimate._replace(flags=filtered.flags | sample.flags))
+    result: Estimate = rows.collect()
+    return result
 
 
 def _check_log(layout: FeetLayout, readings: Floats, reference: Any, dt: Any) -> tuple[Any, Floats]:
-    """Return a log's reference in double precision, and its times between samples, or refuse them."""
+    """Return a log's reference in double precision and the times between samples, or raise ValueError."""
     check_kind("layout", layout, FeetLayout)
     if not isinstance(reference, MomentumReference):
         check_kind("reference", reference, Reference)
     layout.check_raw(readings)
     if readings.ndim != 2 or len(readings) == 0:
-        way_out = f" {ONE_ROBOT}" if readings.ndim > 2 else ""
-        raise ValueError(f"'raw' must have shape (samples, channels), got {readings.shape}.{way_out}")
+        remedy = f" {ONE_ROBOT}" if readings.ndim > 2 else ""
+        raise ValueError(f"'raw' must have shape (samples, channels), got {readings.shape}.{remedy}")
     log = type(reference)(*(_in_float64(part) for part in reference))
     for field, part in zip(log._fields, log, strict=True):
         if part.shape[:1] != readings.shape[:1]:
@@ -128,16 +127,16 @@ def _check_log(layout: FeetLayout, readings: Floats, reference: Any, dt: Any) ->
 
 
 def _in_float64(values: Any) -> NDArray[Any]:
-    """Return numbers in double precision, which the library takes; booleans stay."""
+    """Convert numbers to double precision, as the library requires, but not booleans."""
     array = np.asarray(values)
     return array.astype(np.float64, copy=False) if array.dtype.kind in "fiu" else array
 
 
 def _filter_accelerations(log: Reference | MomentumReference, cutoff: float, dt: float) -> Reference:
-    """Return a log whose accelerations are filtered; raise ValueError if it has none."""
+    """Return a log with filtered accelerations, or raise ValueError if it does not contain accelerations."""
     if not isinstance(log, Reference):
         raise ValueError(
-            "'zero_phase' filters accelerations, which a MomentumReference has none of: give a Reference."
+            "'zero_phase' filters accelerations, which a MomentumReference does not have; give a Reference."
         )
     limits = (-LARGEST_REFERENCE, LARGEST_REFERENCE)
     return log._replace(
@@ -147,6 +146,6 @@ def _filter_accelerations(log: Reference | MomentumReference, cutoff: float, dt:
 
 
 def _filter_plausible(values: NDArray[Any], low: Any, high: Any, cutoff: float, dt: float) -> NDArray[Any]:
-    """Filter plausible readings; others stay as they are, for the method to flag, and change no neighbour."""
+    """Filter plausible readings only. Others do not affect their neighbours, and the method flags them."""
     plausible = (values >= low) & (values <= high)
     return np.where(plausible, filter_zero_phase(np.where(plausible, values, np.nan), cutoff, dt), values)

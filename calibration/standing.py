@@ -1,27 +1,27 @@
-r"""Starting values from quiet standing: how much of its load cells a robot at rest shows.
+r"""Starting values from quiet standing, and how far they are determined.
 
-A robot at rest presses with M g below its centre of mass (x, y), so that over the cells of both feet
-(CoP paper, Eqs. 12, 13), per sample k,
+The ground force on a robot at rest is M g below its centre of mass (x, y). For the cells of both feet
+(CoP paper, Eqs. 12, 13), at each sample k,
 
     sum_i (c_i S_ik + d_i) = M g,      sum_i (x_i, y_i) (c_i S_ik + d_i) = (x, y) M g,
 
-which is linear in (c, d). Used are samples in contact (Fz > 5 N by the starting map) and still (the
-specific force within a_th of g, the angular velocity below w_th), after a time of warming up T_warm,
-for as long as it takes to have enough.
+which is linear in (c, d). Samples are used if the feet are in contact (Fz > 5 N by the starting map) and the
+robot is still (specific force within a_th of g, angular velocity below w_th), after a warm-up time T_warm,
+until there are enough of them.
 
-The paper solves this by least squares and does not mention that it is singular. A still robot shows one
-sample over and over, so that three combinations of sixteen unknowns follow, and the noise of the readings
-would invent the others. Shifting the weight about adds the scales. The offsets enter only by their sum and
-two moments for as long as the feet stay: eleven combinations at most, never sixteen; the others take a foot
-in the air. Here the solution stays as near the starting map as the data allow. With F = a F0 + b and F0 the
-force by the starting map,
+The paper solves this by least squares and does not mention that it is singular. The samples of a still robot
+are all the same, so that they determine three combinations of sixteen unknowns, and noise would determine the
+others. Shifting the weight adds the scales. As long as the feet do not move, the offsets enter only by their
+sum and two moments. This gives at most eleven combinations; the others need a foot in the air. Here the
+solution stays as close to the starting map as the data allow. With F = a F0 + b, where F0 is the force by the
+starting map,
 
     min  sum_k |r_k(a, b) - e|^2 / s^2  +  |a - 1|^2 / s_a^2  +  |b|^2 / s_b^2  +  |e|^2 / s_e^2
 
-where e is the error that all samples share because the believed mass and centre of mass are wrong, which
-averaging does not remove. The minimum changes only the parts that the samples determine, and its covariance
-says how well they do. Moments are taken about the centre of mass, which is Eq. 12 less (x, y) times its first
-row. With s_e = 0 and s small against s_a and s_b it is the paper's solution of least change.
+where e is the common error of all samples because the believed mass and centre of mass are wrong. Averaging
+does not remove it. The minimum changes only the combinations that the samples determine, with their
+covariance. Moments are taken about the centre of mass, which is Eq. 12 less (x, y) times its first row. With
+s_e = 0 and s small compared with s_a and s_b it is the paper's solution of minimum change.
 """
 
 from dataclasses import dataclass
@@ -50,16 +50,16 @@ from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 _ROWS = 3
 
 PLAUSIBLE_WEIGHTS = 20.0
-"""Force of one channel, in body weights, beyond which a reading is taken for an error."""
+"""Force of one channel, in body weights, above which a reading counts as an error."""
 
 
 class StandingState(NamedTuple):
-    """The samples so far."""
+    """Sums over the samples so far."""
 
     time: float  # time since the start in s
     samples: int  # samples that were used
-    dropped: int  # samples after warming up with a value that is not finite or absurd
-    gated: int  # samples after warming up without contact or with motion
+    dropped: int  # samples after the warm-up with a value that is not finite or not plausible
+    gated: int  # samples after the warm-up without contact or with motion
     information: Array  # sum of J' J over the whitened rows, shape (2 K + 3, 2 K + 3)
     gradient: Array  # sum of J' y, shape (2 K + 3,)
     energy: float  # sum of y' y
@@ -72,14 +72,14 @@ class StandingEstimate(NamedTuple):
     correction: Parameters  # the same as (a, b) of F = a F0 + b, shape (K,) each
     covariance: Array  # of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K)
     rank: int  # directions of (a, b) whose variance the samples at least halved
-    residual_rms: float  # root mean square of the residual, in multiples of the noise that was assumed
-    condition: float  # ratio of the most to the least constrained direction's standard deviation
-    ready: bool  # whether enough samples came over enough time
+    residual_rms: float  # root mean square of the residual, in multiples of the assumed noise
+    condition: float  # largest over smallest posterior standard deviation of a direction
+    ready: bool  # whether there were enough samples over a long enough time
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class QuietStanding:
-    """The standing start of one robot: pure functions over :class:`StandingState`.
+    """The standing start of one robot, as pure functions of :class:`StandingState`.
 
     ``state = init(raw)``, then ``state = update(state, raw, reference, dt)`` for every sample, then
     ``solve(state)`` as soon as ``ready(state)``. For a recording see
@@ -90,34 +90,34 @@ class QuietStanding:
     """How the channels make up the feet's wrenches."""
 
     mass: float
-    """The robot's mass as it believes it, in kg."""
+    """Mass of the robot as the robot knows it, in kg."""
 
     start: Parameters
-    """The map (c0, d0) to start from, such as the sensors' nominal one, shape (K,) each."""
+    """The starting map (c0, d0), such as the sensors' nominal one, shape (K,) each."""
 
     warm_up: float = 1.0
-    """Time at the beginning that is left out, T_warm, in s."""
+    """Time at the beginning that is not used, T_warm, in s."""
 
     duration: float = 2.0
-    """Time after warming up that is to be seen, in s; more if the samples do not suffice."""
+    """Minimum time after the warm-up in s, longer if there are not enough samples."""
 
     minimum_samples: int = 80
-    """Samples that are needed."""
+    """Minimum number of samples."""
 
     threshold: float = FORCE_THRESHOLD
-    """Total vertical force in N, by the starting map, that a sample must exceed to count as contact."""
+    """Total vertical force in N, by the starting map, above which the feet count as in contact."""
 
     acceleration_threshold: float = 0.5
-    """How far the length of the specific force may be from g in m/s^2, a_th."""
+    """Largest difference between the length of the specific force and g in m/s^2, a_th."""
 
     rate_threshold: float = 0.1
-    """How fast the torso may turn in rad/s, w_th."""
+    """Largest angular velocity of the torso in rad/s, w_th."""
 
     scale_std: float = 0.1
-    """How far scales are thought to be from the start, as a share of them, sigma_a."""
+    """Prior standard deviation of scales relative to the starting map, sigma_a."""
 
     offset_std: float = 1.5
-    """How far offsets are thought to be from the start in N, sigma_b."""
+    """Prior standard deviation of offsets from the starting map in N, sigma_b."""
 
     force_noise: float = 0.2
     """Noise of one sample's total force, cells and reference together, in N."""
@@ -129,13 +129,13 @@ class QuietStanding:
     """Acceleration of free fall in m/s^2."""
 
     mass_error: float = 0.005
-    """Error of the believed mass as a share of it; all samples have it in common."""
+    """Relative error of the believed mass, common to all samples."""
 
     com_error: float = 3e-3
-    """Error of the believed centre of mass in m, per axis; all samples have it in common."""
+    """Error of the believed centre of mass in m per axis, common to all samples."""
 
     def __post_init__(self) -> None:
-        """Raise an error if a value has no meaning."""
+        """Raise an error if a value is out of range."""
         positive = ("mass", "gravity", "acceleration_threshold", "rate_threshold", "scale_std", "offset_std")
         check_positive(self, *positive, "force_noise", "cop_noise")
         check_not_negative(self, "warm_up", "duration", "threshold", "mass_error", "com_error")
@@ -147,16 +147,16 @@ class QuietStanding:
                 raise ValueError(f"'start.{field}' holds values that are not finite: {value}.")
 
     def init(self, raw: Array) -> StandingState:
-        """Return the state before any sample, of a reading, (K,), whose values do not matter."""
+        """Return the state before the first sample. The values of ``raw``, shape (K,), are not used."""
         self.layout.check_reading(raw)
         unknowns = 2 * self.layout.channels + _ROWS
         return StandingState(0.0, 0, 0, 0, np.zeros((unknowns, unknowns)), np.zeros(unknowns), 0.0)
 
     def update(self, state: StandingState, raw: Array, reference: Reference, dt: float) -> StandingState:
-        """Take in one sample: readings, (K,), and beliefs at the same time, ``dt`` s before the next one.
+        """Process one sample: readings, shape (K,), and the state estimate at the same time.
 
-        One that is not finite, in contact and still is only counted; another shape is refused with a
-        ValueError.
+        Samples that are not finite, not in contact or not still are only counted. ValueError for a wrong
+        shape. ``dt`` is the time to the next sample in s.
         """
         self._check(raw, reference)
         warm = state.time >= self.warm_up - 1e-9
@@ -176,14 +176,14 @@ class QuietStanding:
         )
 
     def ready(self, state: StandingState) -> bool:
-        """Return whether enough samples came over enough time."""
+        """Return whether there were enough samples over a long enough time."""
         enough_time = state.time >= self.warm_up + self.duration - 1e-9
         return state.samples >= self.minimum_samples and enough_time
 
     def solve(self, state: StandingState) -> StandingEstimate:
-        """Return the map nearest to the starting one that explains the samples (CoP paper, Eq. 13).
+        """Return the map closest to the starting map that explains the samples (CoP paper, Eq. 13).
 
-        Without samples it is the starting map.
+        Without samples this is the starting map.
         """
         K, deviation = self.layout.channels, self._deviations()
         posterior = np.linalg.inv(state.information + np.eye(2 * K + _ROWS))
@@ -191,25 +191,25 @@ class QuietStanding:
         whitened = posterior @ state.gradient
         shift = whitened[: 2 * K] * deviation
         correction = Parameters(1.0 + shift[:K], shift[K:])
-        kept = posterior[: 2 * K, : 2 * K]
-        variance = np.linalg.eigvalsh(kept)
-        left = state.energy + whitened @ (state.information @ whitened - 2.0 * state.gradient)
+        of_map = posterior[: 2 * K, : 2 * K]
+        variance = np.linalg.eigvalsh(of_map)
+        residual = state.energy + whitened @ (state.information @ whitened - 2.0 * state.gradient)
         return StandingEstimate(
             parameters=correction.after(self.start),
             correction=correction,
-            covariance=deviation[:, None] * kept * deviation,
+            covariance=deviation[:, None] * of_map * deviation,
             rank=int((variance < 0.5).sum()),
-            residual_rms=float(np.sqrt(max(left, 0.0) / (_ROWS * max(state.samples, 1)))),
+            residual_rms=float(np.sqrt(max(residual, 0.0) / (_ROWS * max(state.samples, 1)))),
             condition=float(np.sqrt(variance[-1] / variance[0])),
             ready=self.ready(state),
         )
 
     def _deviations(self) -> Floats:
-        """Return the units of (a, b), shape (2 K,): one is as far from the start as assumed."""
+        """Return the prior standard deviations of (a, b), shape (2 K,)."""
         return np.repeat([self.scale_std, self.offset_std], self.layout.channels)
 
     def _check(self, raw: Array, reference: Reference) -> None:
-        """Raise ValueError if a shape is not that of one sample, or a dtype not floating."""
+        """Raise ValueError if a shape is not that of one sample, or a dtype is not floating."""
         feet = len(self.layout.feet)
         self.layout.check_reading(raw)
         for field, shape in (
@@ -223,7 +223,7 @@ class QuietStanding:
             check_shape(getattr(reference, field), shape, field)
 
     def _finite(self, raw: Array, reference: Reference) -> bool:
-        """Return whether all of a sample is finite, and of a size that a robot can have."""
+        """Return whether all values of a sample are finite and plausible for a robot."""
         force = self.start.force(raw)
         beliefs = (reference.com, reference.position_sole, reference.R_level_sole)
         measured = (reference.accelerometer, reference.gyroscope)
@@ -234,12 +234,12 @@ class QuietStanding:
         )
 
     def _still(self, reference: Reference) -> bool:
-        """Return whether the robot is at rest by its IMU."""
+        """Return whether the robot is at rest according to its IMU."""
         specific, rate = np.linalg.norm(reference.accelerometer), np.linalg.norm(reference.gyroscope)
         return bool(abs(specific - self.gravity) < self.acceleration_threshold and rate < self.rate_threshold)
 
     def _rows(self, raw: Array, reference: Reference) -> tuple[Array, Array, bool]:
-        """Return a sample as whitened rows, J (3, 2 K + 3) u = y (3,), and whether it is in contact."""
+        """Return a sample as whitened rows, J (3, 2 K + 3) u = y (3,), and whether feet are in contact."""
         weight, force = self.mass * self.gravity, self.start.force(raw)
         about_com = reference.position_sole - np.append(reference.com[:2], 0.0)
         by_channel = moment_rows(self.layout, about_com, reference.R_level_sole).sum(axis=0)
@@ -258,15 +258,15 @@ class StandingFit:
     value: Parameters  # the map (c, d) of the readings
     correction: Parameters  # the same as (a, b) of F = a F0 + b
     covariance: Floats
-    """Of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K), given that the errors of the robot's mass and
-    centre of mass are as small as assumed."""
-    result: FitResult  # whether all directions were determined; quiet standing alone never does that
-    stats: FitStats  # of the fit; the residual is in multiples of the noise that was assumed
-    duration: float  # how much of the recording was needed, in s
+    """Covariance of (a_1, ..., a_K, b_1, ..., b_K), shape (2 K, 2 K), for the assumed errors of the robot's
+    mass and centre of mass."""
+    result: FitResult  # whether all directions were determined, which quiet standing alone never achieves
+    stats: FitStats  # statistics of the fit, with the residual in multiples of the assumed noise
+    duration: float  # length of the part of the recording that was used in s
 
 
 def _check_lengths(code: Floats, reference: Reference) -> None:
-    """Raise ValueError if readings and references are not of as many samples."""
+    """Raise ValueError unless readings and references have the same number of samples."""
     if code.ndim != 2:
         raise ValueError(f"'raw' must have shape (samples, channels), got {code.shape}.")
     lengths = {name: len(field) for name, field in reference._asdict().items() if len(field) != len(code)}
@@ -276,22 +276,22 @@ def _check_lengths(code: Floats, reference: Reference) -> None:
 
 def _too_few(standing: QuietStanding, state: Any, code: Floats) -> CalibrationRefused:
     """Return the refusal of a recording with too few usable samples."""
-    warm = state.samples + state.dropped + state.gated
+    after_warm_up = state.samples + state.dropped + state.gated
     return CalibrationRefused(
         f"Only {state.samples} of the {standing.minimum_samples} samples that are needed were usable: of "
-        f"{warm} after {standing.warm_up:g} s of warming up, {state.dropped} held values that are "
+        f"{after_warm_up} after {standing.warm_up:g} s of warm-up, {state.dropped} held values that are "
         f"not finite{_silent_channels(code, standing.layout)} and {state.gated} lacked contact or moved.",
         "Stand still for longer, or check the IMU, its thresholds and the cells.",
     )
 
 
 def standing_start(standing: QuietStanding, raw: ArrayLike, reference: Reference, dt: float) -> StandingFit:
-    """Fit a recording, using no more of it than is needed.
+    """Fit a recording, using only as much of it as is needed.
 
     Args:
         standing: The robot, its starting map, and the thresholds.
         raw: Readings, shape (n, K).
-        reference: The robot's beliefs, each field with n samples on its first axis.
+        reference: The robot's state estimate, with n samples on the first axis of each field.
         dt: Time between samples in s.
 
     Returns:

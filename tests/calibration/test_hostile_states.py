@@ -21,7 +21,7 @@ from surefoot.files import atomic_path, read_arrays, write_text
 
 METHODS = ("moment", "window", "tare", "none")
 SAMPLES = 150
-FRESH = "Calibrate afresh, or load an older file."
+FRESH = "Calibrate again, or load an older file."
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_no_number_that_is_impossible_is_loaded_and_what_was_learnt_stays(method
         wrong = (np.nan, 1e30) if entry.dtype.kind == "f" else (2**60, -(2**60))
         # In turn everywhere, and at one place alone.
         value, at = list(zip(wrong, (..., (0,) * entry.ndim), strict=True))[tried % 2]
-        with pytest.raises(ValueError, match=rf"feet\.npz' is no state to go on with: '{leaf}' holds"):
+        with pytest.raises(ValueError, match=rf"feet\.npz' cannot be loaded: '{leaf}' is "):
             calibrator.load(change(saved[method], tmp_path / "feet.npz", leaf, value, at))
         tried += 1
     assert tried >= 3
@@ -83,19 +83,19 @@ def test_no_number_that_is_impossible_is_loaded_and_what_was_learnt_stays(method
 
 ONE_SIDED = {
     "not symmetric": ("covariance", 0.5, (0, 1), "'covariance' is not symmetric, as a covariance is."),
-    "negative variance": ("covariance", -0.5, (2, 2), "'covariance' has the variance -0.5"),
-    "unknown flag": ("status", 131072, ..., "'status' holds 1.311e+05, and 0 to 1.311e+05 can be."),
-    "negative flag": ("status", -1, ..., "'status' holds -1, and 0 to 1.311e+05 can be."),
+    "negative variance": ("covariance", -0.5, (2, 2), "'covariance' has the negative eigenvalue -0.5"),
+    "unknown flag": ("status", 131072, ..., "'status' is 1.311e+05, outside 0 to 1.311e+05."),
+    "negative flag": ("status", -1, ..., "'status' is -1, outside 0 to 1.311e+05."),
     "a fault unheard of": (
         "faults.kind",
         262144,
         3,
-        "'faults.kind' holds 2.621e+05 at (3,), and 0 to 1.311e+05",
+        "'faults.kind' is 2.621e+05 at (3,), outside 0 to 1.311e+05",
     ),
-    "100 body weights": ("belief.mean", 100.0, (0, 9), "'belief.mean' holds 100 at (0, 9), and -20 to 20"),
-    "nothing to go back to": ("kept.belief.mean", np.nan, (0, 1), "'kept.belief.mean' holds nan at (0, 1)"),
-    "no motion": ("front.motion", 1e7, 5, "'front.motion' holds 1e+07 at (5,), and -1e+06 to 1e+06 can be."),
-    "no count": ("front.raw", 2.0**31, 0, "'front.raw' holds 2.147e+09 at (0,), and "),
+    "100 body weights": ("belief.mean", 100.0, (0, 9), "'belief.mean' is 100 at (0, 9), outside -20 to 20"),
+    "nothing to go back to": ("kept.belief.mean", np.nan, (0, 1), "'kept.belief.mean' is nan at (0, 1)"),
+    "no motion": ("front.motion", 1e7, 5, "'front.motion' is 1e+07 at (5,), outside -1e+06 to 1e+06."),
+    "no count": ("front.raw", 2.0**31, 0, "'front.raw' is 2.147e+09 at (0,), outside "),
 }
 
 
@@ -110,7 +110,7 @@ def test_limits_of_methods_are_their_own(saved, tmp_path):
     for method, leaf, value in (("window", "theta", 5.0), ("tare", "offset", 30.0)):
         path = change(saved[method], tmp_path / "feet.npz", leaf, value)
         with pytest.raises(
-            ValueError, match=rf"'{leaf}' holds {value:g} at \(0,\), and .*{re.escape(FRESH)}"
+            ValueError, match=rf"'{leaf}' is {value:g} at \(0,\), outside .*{re.escape(FRESH)}"
         ):
             make(method).load(path)
 
@@ -124,7 +124,7 @@ def test_a_state_that_diverged_replaces_no_good_file(log, row, tmp_path):
     calibrator.state = state._replace(
         belief=state.belief._replace(mean=np.full_like(state.belief.mean, np.nan))
     )
-    with pytest.raises(ValueError, match=r"^Nothing was written to '.*': 'belief.mean' holds nan"):
+    with pytest.raises(ValueError, match=r"^Nothing was written to '.*': 'belief.mean' is nan"):
         calibrator.save(tmp_path / "feet.npz")
     assert (tmp_path / "feet.npz").read_bytes() == before
 

@@ -65,7 +65,7 @@ test_refuses_cells_that_make_no_foot = refusals(
     ),
     (np.zeros((4, 4)), "got shape (4, 4)"),
     ([(0.0, 0.0), (1.0, np.nan), (0.0, 1.0)], "cell positions of foot 'left' hold values"),
-    ([(0.0, 0.0), (0.1, 0.1), (0.2, 0.2)], "The cells of foot 'left' lie on one line"),
+    ([(0.0, 0.0), (0.1, 0.1), (0.2, 0.2)], "The cells of foot 'left' are on one line"),
     plain=True,
 )
 
@@ -89,7 +89,7 @@ def test_a_force_plate_is_one_foot_alone():
 def test_refuses_missing_feet_and_twins():
     foot = FootLayout.load_cells("left", CORNERS)
     with pytest.raises(
-        ValueError, match=r"^A layout has one foot at least, such as a force plate; got none\.$"
+        ValueError, match=r"^A layout needs at least one foot, such as a force plate; got none\.$"
     ):
         FeetLayout(())
     with pytest.raises(ValueError, match="Several feet are named"):

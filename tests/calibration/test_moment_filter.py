@@ -397,7 +397,7 @@ def test_other_methods_want_accelerations():
     with pytest.raises(TypeError, match="'reference' must be a Reference, got MomentumReference"):
         calibrator.update(log.raw[0], MomentumReference(*(part[0] for part in log.reference)))
     with pytest.raises(
-        ValueError, match="'zero_phase' filters accelerations, which a MomentumReference has none"
+        ValueError, match="'zero_phase' filters accelerations, which a MomentumReference does not have"
     ):
         replay(LAYOUT, "moment", log.raw, log.reference, DT, mass=MASS, initial=NOMINAL, zero_phase=True)
 

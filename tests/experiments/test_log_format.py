@@ -221,7 +221,7 @@ def test_the_places_of_the_cells_say_what_a_foot_is(log: Log, path: Path) -> Non
 def test_feet_that_no_robot_has_are_refused(path: Path) -> None:
     left = json.loads(path.with_suffix(".json").read_text())["layout"][0]
     redescribe(path, layout=[])
-    assert refusal_of(path).startswith("walk.csv: the description: layout: A layout has one foot at least")
+    assert refusal_of(path).startswith("walk.csv: the description: layout: A layout needs at least one foot")
     redescribe(path, layout=[left] * 2)
     assert "Several feet are named ['left']; give each its own name" in refusal_of(path)
 

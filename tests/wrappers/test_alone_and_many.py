@@ -171,7 +171,7 @@ def test_hardware_and_what_was_learnt_survive_in_files(method: str, tmp_path: An
     np.testing.assert_allclose(seen["foot_force"], force, atol=2e-3)
     three = _many([*robots, robots[0]], {}, {"method": method}, AutoresetMode.NEXT_STEP)
     three.reset(seed=1)
-    with pytest.raises(ValueError, match="is of 2 robot"):
+    with pytest.raises(ValueError, match="holds the state of 2 robot"):
         three.load(tmp_path / "learnt.npz")
 
 

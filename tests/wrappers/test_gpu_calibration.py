@@ -117,7 +117,7 @@ def test_curves_stand_in_front(log):
         for i, calibrator in enumerate(alone):
             own = type(reference)(*(part[i].cpu().numpy() for part in reference))
             np.testing.assert_allclose(found[i], calibrator.update(raw[i].double().cpu().numpy(), own).force)
-    with pytest.raises(ValueError, match=r"'curves' are for 1 channels, but the layout has 8\."):
+    with pytest.raises(ValueError, match=r"'curves' are of 1 channels, and the layout has 8\."):
         make("none", curves=Curves([knots]))
 
 
@@ -249,7 +249,7 @@ def test_a_saved_state_with_impossible_numbers_is_refused_and_nothing_changes(lo
     saved = module.state_dict()
     before = other.state_dict()["_extra_state"]["state"]
     views(saved["_extra_state"]["state"], module._layouts[0])["belief_mean"][1, 2, 3] = 1e30
-    with pytest.raises(ValueError, match=r"go on with: 'belief_mean' holds 1e\+30 at \(1, 2, 3\), and"):
+    with pytest.raises(ValueError, match=r"go on with: 'belief_mean' is 1e\+30 at \(1, 2, 3\), outside"):
         other.load_state_dict(saved)
     assert torch.equal(other.state_dict()["_extra_state"]["state"], before)
 

@@ -170,7 +170,7 @@ def test_files_of_other_robots_and_sensors_are_refused(tmp_path, make_bare) -> N
     with pytest.raises(RuntimeError, match=r"no calibrator before the first reset\(\)"):
         calibrated.load(tmp_path / "a.npz")
     calibrated.reset(seed=0)
-    with pytest.raises(ValueError, match="does not say for which method it was saved, and 'moment"):
+    with pytest.raises(ValueError, match="has no note of its method, and 'moment"):
         calibrated.load(tmp_path / "a.npz")
 
 

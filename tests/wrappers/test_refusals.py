@@ -84,7 +84,9 @@ def test_hardware_of_more_robots_is_refused(tmp_path) -> None:
     robots.reset(seed=0)
     alone.reset(seed=0)
     robots.save(tmp_path / "three.npz")
-    with pytest.raises(ValueError, match=r"three.npz' is of 3 robot\(s\), and this is of 1; load it into"):
+    with pytest.raises(
+        ValueError, match=r"three.npz' holds the state of 3 robot\(s\), but there are 1; load it into"
+    ):
         alone.load(tmp_path / "three.npz")
     robots.load(tmp_path / "three.npz")
     assert np.isfinite(robots.true_parameters().scale).all()
