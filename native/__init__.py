@@ -1,7 +1,7 @@
-"""The code in C: how a library is compiled, found and loaded, whatever is in it; see docs/native.md.
+"""The C code of this package, and how its libraries are compiled, found and loaded (docs/native.md).
 
-Here lies all of the C: headers, and a source a library. What goes into records is known by the packages
-``calibration``, ``robot``, ``sensors`` and ``envs``.
+This folder contains all headers, and one source file per library. The contents of records are defined by the
+packages ``calibration``, ``robot``, ``sensors`` and ``envs``.
 """
 
 from surefoot.native.build import FOLDER, Sources, compiler

@@ -1,4 +1,4 @@
-"""Compile all libraries of this package, for who installed without a compiler; or say where headers are."""
+"""Compile all libraries of this package after an installation without a compiler, or print include paths."""
 
 import sys
 from argparse import ArgumentParser
@@ -8,16 +8,16 @@ from surefoot.native.build import FOLDER, sources_below
 
 
 def main(arguments: Sequence[str] = ()) -> str | None:
-    """Run a command line, by default compile the libraries; return the failures."""
+    """Run the command, which compiles the libraries by default, and return an error message or ``None``."""
     parser = ArgumentParser(prog="python -m surefoot.native", description=__doc__)
     parser.add_argument("--include", action="store_true", help="print the folder of headers as a -I option")
     parser.add_argument("--cmakedir", action="store_true", help="print the folder of surefoot-config.cmake")
-    wanted = parser.parse_args(arguments)
-    if wanted.include:
+    options = parser.parse_args(arguments)
+    if options.include:
         print(f"-I{FOLDER}")
-    if wanted.cmakedir:
+    if options.cmakedir:
         print(FOLDER)
-    if wanted.include or wanted.cmakedir:
+    if options.include or options.cmakedir:
         return None
     for sources in sources_below():
         problem = sources.compile()

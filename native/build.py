@@ -1,6 +1,6 @@
-"""Compile libraries: when surefoot is installed, or by hand with ``python -m surefoot.native``.
+"""Compile the libraries, during installation or with ``python -m surefoot.native``.
 
-Nothing here needs more than Python itself, as ``setup.py`` runs it before there is a package.
+This module needs only the standard library, because ``setup.py`` runs it before the package is installed.
 """
 
 import os
@@ -15,16 +15,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 FOLDER = Path(__file__).resolve().parent
-"""Where all of the C lies: headers, and a source a library that includes them."""
+"""Folder of the C code: headers, and one source file per library that includes them."""
 
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fvisibility=hidden")
-"""Contraction would round differently from machine to machine."""
+"""Contraction is off because it would make rounding depend on the machine."""
 
 SMALLER = {
     "calibration": ("-DSF_CHANNELS=8", "-DSF_FEET=2", "-DSF_COMPONENTS=3", "-DSF_TALKS=0", "-DSF_BLOCK=16")
 }
-"""Sizes of a package's second library, whose records are small: for two feet on up to four cells each."""
-
+"""Sizes of a package's second library, with smaller records for two feet with up to four cells each."""
 
 PLATFORMS = {
     "manylinux_2_17_x86_64.manylinux2014_x86_64": "x86_64-linux-gnu.2.17",
@@ -33,21 +32,21 @@ PLATFORMS = {
     "macosx_11_0_arm64": "aarch64-macos.11.0",
     "win_amd64": "x86_64-windows-gnu",
 }
-"""Platforms of wheels that any machine can make, and what ziglang's compiler calls them."""
+"""Platforms for which any machine can build wheels, and their names for ziglang's compiler."""
 
 _ZIG = (sys.executable, "-m", "ziglang", "cc")
 
 COMPILER = 'ziglang>=0.14; platform_machine in "x86_64 AMD64 aarch64 arm64"'
-"""The package that compiles where the system has no compiler, on the platforms that it is published for."""
+"""Requirement for a compiler package if the system has no compiler, on the platforms that it supports."""
 
 
 def compiler(platform: str | None = None) -> tuple[str, ...] | None:
-    """Return the command of a C compiler; ``None`` without one.
+    """Return the command of a C compiler, or ``None`` if there is none.
 
-    The compiler of ``CC``, or ``cc``, ``gcc`` or ``clang`` of the system, or that of the package ziglang.
+    The compiler is that of ``CC``, the system's ``cc``, ``gcc`` or ``clang``, or the package ziglang.
 
     Args:
-        platform: One of :data:`PLATFORMS`, for which ziglang compiles; this machine by default.
+        platform: One of :data:`PLATFORMS` (compiled by ziglang), by default this machine.
     """
     zig = _ZIG if find_spec("ziglang") else None
     if platform is not None:
@@ -59,53 +58,53 @@ def compiler(platform: str | None = None) -> tuple[str, ...] | None:
 
 
 def requirements() -> list[str]:
-    """Return the packages that compiling needs: none with a compiler, or where ``SUREFOOT_NATIVE`` is 0."""
+    """Return the packages needed to compile: none with a compiler, or if ``SUREFOOT_NATIVE`` is 0."""
     return [] if compiler() or os.environ.get("SUREFOOT_NATIVE") == "0" else [COMPILER]
 
 
 def ending(platform: str | None = None) -> str:
-    """Return the ending of library names; arguments as of :func:`compiler`."""
+    """Return the suffix of library files. The argument is that of :func:`compiler`."""
     windows = platform.startswith("win") if platform else sys.platform == "win32"
     return ".dll" if windows else ".so"
 
 
 class Sources(NamedTuple):
-    """The sources of one library: a package's, which includes the headers beside it."""
+    """The source file of one library, which includes the headers of the same folder."""
 
-    path: Path  # the source, named as the package
-    sizes: tuple[str, ...] = ()  # options of the compiler for records of another size
+    path: Path  # the source file, named after the package
+    sizes: tuple[str, ...] = ()  # compiler options that set the sizes of records
 
     @property
     def name(self) -> str:
-        """Name of the library, without an ending."""
+        """Name of the library without a suffix."""
         return f"surefoot_{self.path.stem}" + ("_cells" if self.sizes else "")
 
     @property
     def smaller(self) -> "Sources | None":
-        """The same with less room in its records, if the package has it so."""
+        """The sources of the library with smaller records, or ``None``."""
         sizes = SMALLER.get(self.path.stem)
         return None if sizes is None or self.sizes else Sources(self.path, sizes)
 
     @property
     def library(self) -> Path:
-        """Where the library lies: beside its sources."""
+        """Path of the compiled library, in the folder of its sources."""
         return self.path.with_name(self.name + ending())
 
     def fingerprint(self, flags: Sequence[str] = FLAGS) -> str:
-        """Return the mark of a library that is compiled from the sources at hand with these flags."""
-        found = (self.path, *sorted(self.path.parent.glob("*.h")))
-        parts = (" ".join((*flags, *self.sizes)).encode(), *(path.read_bytes() for path in found))
+        """Return the hash of the present sources and compiler flags, which a library must contain."""
+        files = (self.path, *sorted(self.path.parent.glob("*.h")))
+        parts = (" ".join((*flags, *self.sizes)).encode(), *(path.read_bytes() for path in files))
         return sha256(b"".join(parts)).hexdigest()[:16]
 
     def compile(
         self, target: Path | None = None, flags: Sequence[str] = FLAGS, platform: str | None = None
     ) -> str | None:
-        """Compile the library; return ``None``, or in one line why it could not be.
+        """Compile the library. Return ``None``, or one line with the reason of a failure.
 
         Args:
-            target: Where to; by default beside the sources.
+            target: Path of the library, by default in the folder of the sources.
             flags: Options of the compiler.
-            platform: The target, as of :func:`compiler`.
+            platform: The target platform, see :func:`compiler`.
         """
         program = compiler(platform)
         if program is None:
@@ -113,11 +112,11 @@ class Sources(NamedTuple):
                 return "the package ziglang, which compiles for other platforms, is not installed"
             return "there is no C compiler (cc, gcc, clang or what CC says)"
         target = target or self.library
-        # Moved in one step: a program that runs keeps the library that it has.
+        # The file is replaced atomically, so that running programs keep the library that they have loaded.
         fresh = target.with_name(f"{target.name}.{os.getpid()}")
         source = [
             "-shared",
-            # Windows knows no other code, and symbols of a debugger have no place in a wheel.
+            # Code on Windows is always position independent. Wheels do not contain debugging symbols.
             *(() if ending(platform) == ".dll" else ("-fPIC",)),
             *(("-s",) if platform else ()),
             f'-DSF_SOURCE="{self.fingerprint(flags)}"',
@@ -137,13 +136,13 @@ class Sources(NamedTuple):
             return f"{shlex.join(program)} could not be run: {error}"
         finally:
             fresh.unlink(missing_ok=True)
-            # What programs would be linked to on Windows.
+            # The import library for linkers on Windows, which is not used.
             target.with_name(f"{self.path.stem}.lib").unlink(missing_ok=True)
         return None
 
 
 def sources_below(root: Path = FOLDER.parent) -> Iterator[Sources]:
-    """Yield the sources of each library in the folder ``native`` of a folder, in the order of their names."""
+    """Yield the sources of each library in the subfolder ``native`` of a folder, sorted by name."""
     for path in sorted(root.glob("native/*.c")):
         sources = Sources(path)
         yield sources

@@ -1,4 +1,4 @@
-"""Calls of a library's function for many robots, with results that are fresh at each call."""
+"""Call a function of a library for many robots, with newly allocated results for each call."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -13,15 +13,16 @@ from surefoot.native.threads import call_for_many
 
 
 class Call:
-    """A function of the library for N robots, which fills arrays that are fresh at each call.
+    """A function of the library for N robots, which writes to arrays that are allocated for each call.
 
     Args:
         library: The library.
         function: The function's name.
-        room: The record that says where in the results each array begins.
-        constants: The record that it takes first.
-        fields: The results: dtype and shape of one robot's.
-        robots: Number of robots N, which arrays have in front; ``None`` for a single one.
+        room: The record with the offset of each array in the results.
+        constants: The record that is the function's first argument.
+        fields: Dtype and shape of each result for one robot.
+        robots: Number of robots N, the first axis of the arrays. ``None`` for a single robot without this
+            axis.
     """
 
     def __init__(
@@ -37,18 +38,18 @@ class Call:
         self._results = np.dtype([(name, dtype, (*front, *shape)) for name, (dtype, shape) in fields.items()])
         places = self._results.fields
         assert places is not None
-        at = PointerRecord(library, room, {name: places[name][1] for name in fields})
-        self._kept = constants, at
-        self._function = partial(getattr(library.functions, function), constants.address, at.address)
+        offsets = PointerRecord(library, room, {name: places[name][1] for name in fields})
+        self._referenced = constants, offsets  # kept alive, because the library holds their addresses
+        self._function = partial(getattr(library.functions, function), constants.address, offsets.address)
         self._robots = np.arange(robots or 1, dtype=np.int32)
         self._first = self._robots.ctypes.data
 
     def __call__(self, *inputs: NDArray[Any], threads: int = 1) -> NDArray[Any]:
-        """Fill a fresh record of all results.
+        """Return a new record of all results.
 
         Args:
-            inputs: Contiguous arrays with the robots in front.
-            threads: As of :func:`~surefoot.native.call_for_many`.
+            inputs: Contiguous arrays with the robots on the first axis.
+            threads: See :func:`~surefoot.native.call_for_many`.
         """
         results = np.empty((), self._results)
         addresses = [array.ctypes.data for array in (*inputs, results)]

@@ -1,4 +1,4 @@
-"""Compiled libraries: where they are found, and how their records are laid out."""
+"""Find and load compiled libraries, and describe the layout of their records."""
 
 import ctypes
 import logging
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from surefoot.native.build import Sources
 
 SWITCH = "SUREFOOT_NATIVE"
-"""Environment variable that turns the libraries off if it is 0."""
+"""Environment variable that disables the libraries if it is 0."""
 
 ADDRESS = ctypes.c_void_p
-"""Type of an argument of a library's function that points to a record or an array."""
+"""Type of arguments that point to a record or an array."""
 
 _BY_HAND = "python -m surefoot.native"
 
@@ -47,26 +47,26 @@ class _Place(ctypes.Structure):
 
 
 class Library(NamedTuple):
-    """A library that was loaded."""
+    """A loaded library."""
 
     functions: Any  # its functions
-    real: np.dtype[Any]  # the dtype of its numbers
+    real: np.dtype[Any]  # the dtype of its floating-point numbers
     places: dict[str, dict[str, tuple[str, int, int]]]
-    """Kind, offset and size in bytes of each field, by record and field; of a whole record under ""."""
+    """Kind, offset and size in bytes of each field, by record and field. The field "" is the whole record."""
     found: dict[Any, np.dtype[Any] | None]
-    """Results of :meth:`record` so far, by its arguments: an episode asks for the same again."""
+    """Cached results of :meth:`record` by its arguments."""
 
     @property
     def source(self) -> str:
-        """The mark of the sources and the sizes that it was compiled from: records of others differ."""
+        """Hash of the sources and sizes from which it was compiled. Records of other sources may differ."""
         mark: bytes = self.functions.surefoot_source()
         return mark.decode()
 
     def record(self, name: str, shapes: Mapping[str, tuple[int, ...]]) -> np.dtype[Any] | None:
-        """Return the dtype of a record whose fields are as large as here; ``None`` if one has no room.
+        """Return the dtype of a record with these shapes, or ``None`` if a field is too small.
 
         Args:
-            name: One of the records in its table, such as ``config`` or ``state``.
+            name: Name of the record, such as ``config`` or ``state``.
             shapes: The shape of each field.
         """
         key = name, *shapes.items()
@@ -88,22 +88,22 @@ class Library(NamedTuple):
         )
 
     def constants(self, name: str, *sources: Any) -> NDArray[Any] | None:
-        """Return one of its records, each field filled by its name; ``None`` if it has no room for a value.
+        """Return a record whose fields are looked up by name, or ``None`` if a field is too small.
 
         Args:
-            name: The record.
-            sources: Where values are found, the first that has a field: mappings, objects by the names of
-                their attributes, and modules by those of their constants, in capitals. A part of an object
-                has the fields that begin with its name: ``wire_delay`` is ``wire.delay``.
+            name: Name of the record.
+            sources: Where values are looked up, in this order: mappings by key, objects by attribute, and
+                modules by constant (in capitals). A prefix may be an attribute: ``wire_delay`` is also found
+                as ``wire.delay``.
 
         Raises:
-            KeyError: If nobody has a field.
+            KeyError: If no source has a value for a field.
         """
         fields = (field for field in self.places[name] if field)
         return self.record_of(name, {field: _value_of(field, name, sources) for field in fields})
 
     def record_of(self, name: str, values: Mapping[str, Any]) -> NDArray[Any] | None:
-        """Return one of its records with these values, shape (); ``None`` if it has no room for one."""
+        """Return a record with these values, shape (), or ``None`` if a field is too small."""
         dtype = self.record(name, {field: np.shape(value) for field, value in values.items()})
         if dtype is None:
             return None
@@ -114,14 +114,14 @@ class Library(NamedTuple):
 
 
 def _value_of(field: str, record: str, sources: Sequence[Any]) -> Any:
-    """Look a field up in sources; as of :meth:`Library.constants`."""
+    """Look up the value of a field; see :meth:`Library.constants`."""
     for search in (_attribute, _part):
         for source in sources:
             value = search(source, field)
             if value is not _MISSING:
                 return value
     kinds = [getattr(source, "__name__", type(source).__name__) for source in sources]
-    raise KeyError(f"Nobody has '{field}' of the record '{record}'; looked in {', '.join(kinds)}.")
+    raise KeyError(f"No value for field '{field}' of record '{record}'; looked in {', '.join(kinds)}.")
 
 
 def _attribute(source: Any, field: str) -> Any:
@@ -136,11 +136,11 @@ def _part(source: Any, field: str) -> Any:
 
 
 def places_at(address: int, count: int) -> dict[str, dict[str, tuple[str, int, int]]]:
-    """Return a library's table of records: kind, offset and size of each field, by record and field.
+    """Return kind, offset and size of each field by record and field, from a library's table.
 
     Args:
-        address: Where the table lies.
-        count: How many rows it has.
+        address: Address of the table.
+        count: Number of its rows.
     """
     places: dict[str, dict[str, tuple[str, int, int]]] = {}
     for place in (_Place * count).from_address(address):
@@ -154,8 +154,8 @@ class Native:
 
     Args:
         sources: Its sources.
-        signatures: Result (``None`` for none) and arguments of each of its functions, as types of ctypes.
-        many: Functions of many robots, which run without the interpreter's lock.
+        signatures: Result (or ``None``) and arguments of each of its functions, as ctypes types.
+        many: Functions for many robots, which release the interpreter's lock.
     """
 
     def __init__(
@@ -173,12 +173,12 @@ class Native:
 
         Args:
             path: The file.
-            source: The fingerprint that it must have; any by default.
+            source: The fingerprint that it must have, by default any.
 
         Raises:
-            OSError: If there is no such file, or it is none of this package.
+            OSError: If there is no such file, or it is not a library of this package.
         """
-        # Calls take microseconds: giving up the interpreter's lock for them costs more than it is worth.
+        # Calls take microseconds, so that releasing the interpreter's lock would cost more than it gains.
         functions = ctypes.PyDLL(str(path))
         try:
             functions.surefoot_source.restype = ctypes.c_char_p
@@ -199,23 +199,23 @@ class Native:
         return Library(functions, np.dtype(f"f{functions.surefoot_real_size()}"), places, {})
 
     def installed(self) -> Library | None:
-        """Return the library of this package; ``None``, with one line in the log, if it cannot be used."""
+        """Return the library of this package, or log one line and return ``None`` if it cannot be used."""
         if self._found is None:
             self._found = (self.look(self.sources.library),)
         return self._found[0]
 
     def rooms(self) -> tuple[Library, ...]:
-        """Return the libraries of this package, those with the least room in their records first."""
+        """Return the libraries of this package, those with the smallest records first."""
         largest, sources = self.installed(), self.sources.smaller
         if largest is None:
             return ()
         if self._smaller is None:
-            found = None if sources is None else self.look(sources.library, sources)
-            self._smaller = () if found is None else (found,)
+            library = None if sources is None else self.look(sources.library, sources)
+            self._smaller = () if library is None else (library,)
         return *self._smaller, largest
 
     def look(self, path: Path, sources: Sources | None = None) -> Library | None:
-        """Return the library of this package in a file, as :meth:`installed` does."""
+        """Load a library file of this package; see :meth:`installed`."""
         if os.environ.get(SWITCH) == "0":
             return None
         effect = "runs in Python, slower" if sources is None else "needs more memory for many robots"
@@ -230,11 +230,7 @@ class Native:
 
 
 def require(library: Library | None) -> Library:
-    """Return a library that there has to be.
-
-    Raises:
-        RuntimeError: If there is none.
-    """
+    """Return the library, or raise RuntimeError if it is ``None``."""
     if library is None:
         raise RuntimeError(f"The library is missing: run '{_BY_HAND}' first.")
     return library
@@ -242,5 +238,5 @@ def require(library: Library | None) -> Library:
 
 @cache
 def say_once(problem: str, effect: str) -> None:
-    """Log once that a library is missing, what that means, and how to compile it."""
+    """Log once that a library is missing, the effect, and how to compile it."""
     logging.getLogger("surefoot").warning("surefoot %s: %s; compile it with: %s", effect, problem, _BY_HAND)

@@ -1,4 +1,4 @@
-"""Records that a library fills or reads, and their contents: states of Python, and constants written as C."""
+"""Records (C structs) that a library reads and writes, and their conversion from and to Python."""
 
 from collections.abc import Callable, Iterator, Mapping
 from math import inf
@@ -13,15 +13,15 @@ Path = tuple[str, ...]
 
 
 class Record:
-    """A record that a library fills over and over.
+    """A record that a library writes to repeatedly.
 
     Args:
         dtype: Its layout.
 
     Attributes:
-        now: Its values, shape ().
-        address: Where the library finds it.
-        bytes: The same memory, byte by byte.
+        now: Its present values, shape ().
+        address: Its address in memory.
+        bytes: The same memory as an array of bytes.
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
@@ -30,7 +30,7 @@ class Record:
         self.bytes = self.now.reshape(1).view(np.uint8)
 
     def copy(self) -> NDArray[Any]:
-        """Return a copy, of which all fields are views; NumPy's own copies field by field, in 5 us."""
+        """Return a copy, made byte by byte because NumPy's copy field by field takes 5 us."""
         return np.ndarray((), self.now.dtype, self.bytes.copy())
 
     def __reduce__(self) -> Any:
@@ -40,15 +40,15 @@ class Record:
 
 
 class PointerRecord(Record):
-    """A record that tells a library where others are, which it keeps alive, and some numbers.
+    """A record of numbers and of addresses of other records or arrays, which it keeps alive.
 
     Args:
         library: The library.
-        name: The record, of single numbers and addresses alone.
-        parts: Its fields, as of :meth:`__setitem__`; others are 0.
+        name: Name of the record, whose fields are all numbers or addresses.
+        parts: Values of its fields, see :meth:`__setitem__`. Other fields are 0.
 
     Attributes:
-        parts: The same.
+        parts: The values of its fields.
     """
 
     def __init__(self, library: Library, name: str, parts: Mapping[str, Any]) -> None:
@@ -60,18 +60,20 @@ class PointerRecord(Record):
             self[field] = part
 
     def __setitem__(self, field: str, part: Any) -> None:
-        """Set a field: to a number, or to the address of an array or of what has one."""
+        """Set a field to a number, or to the address of an array or record."""
         self.parts[field] = part
-        at = part.ctypes.data if isinstance(part, np.ndarray) else getattr(part, "address", part)
-        self.now[field] = at
+        value = part.ctypes.data if isinstance(part, np.ndarray) else getattr(part, "address", part)
+        self.now[field] = value
 
 
 class StateRecord(Record):
-    """A state of Python's as a library holds it, each part under the way to it; it goes on in place.
+    """A state of nested tuples as a record, which the library updates in place.
+
+    The name of a field is the path of a leaf in the state.
 
     Args:
-        dtype: Its layout, as :func:`state_dtype` returns it.
-        like: A state of its kind, of which shapes and types are taken.
+        dtype: Its layout, from :func:`state_dtype`.
+        like: A state with the same shapes and types.
     """
 
     def __init__(self, dtype: np.dtype[Any], like: Any) -> None:
@@ -79,37 +81,37 @@ class StateRecord(Record):
         self._like = like
 
     def put(self, state: Any) -> None:
-        """Go on from a state as the Python has it."""
+        """Copy a state of nested tuples into the record."""
         for path, leaf in leaves_of(state):
             self.now["_".join(path)] = leaf
 
     def python(self) -> Any:
-        """Return the state as the Python has it, which shares nothing with it."""
+        """Return the state as nested tuples, in memory of its own."""
 
-        def own(path: Path, like: Any) -> Any:
+        def copied(path: Path, like: Any) -> Any:
             part = self.now["_".join(path)]
             return part.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(part)
 
-        return rebuilt(self._like, own)
+        return rebuilt(self._like, copied)
 
 
 def _record(dtype: np.dtype[Any], values: bytes) -> Record:
-    found = Record(dtype)
-    found.bytes[:] = np.frombuffer(values, np.uint8)
-    return found
+    record = Record(dtype)
+    record.bytes[:] = np.frombuffer(values, np.uint8)
+    return record
 
 
 def state_dtype(library: Library, name: str, like: Any) -> np.dtype[Any] | None:
-    """Return the layout of a state like this one in a library's record; ``None`` without room for it."""
+    """Return the layout of a state in a library's record, or ``None`` if the record is too small for it."""
     return library.record(name, {"_".join(path): np.shape(leaf) for path, leaf in leaves_of(like)})
 
 
 def leaves_of(state: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
-    """Yield the ways through the named tuples of a state, and the parts that are no tuples.
+    """Yield the path and the value of each leaf of nested named tuples.
 
     Raises:
-        TypeError: If it is no tuple.
-        ValueError: If one of its tuples has no names.
+        TypeError: If the state is not a tuple.
+        ValueError: If one of its tuples has no field names.
     """
     for name, part in zip(getattr(state, "_fields", ()), state, strict=True):
         if isinstance(part, tuple):
@@ -119,12 +121,12 @@ def leaves_of(state: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
 
 
 def rebuilt(like: Any, leaf: Callable[[Path, Any], Any], path: Path = ()) -> Any:
-    """Return a state like another one with parts of its own.
+    """Return nested tuples of the same structure with other leaves.
 
     Args:
-        like: The other one.
-        leaf: Makes each part, of the way to it and the other one's value there.
-        path: The way to this state.
+        like: The structure.
+        leaf: Returns the new leaf for the path and the value of each leaf of ``like``.
+        path: The path of ``like`` itself.
     """
     if not isinstance(like, tuple):
         return leaf(path, like)
@@ -133,12 +135,12 @@ def rebuilt(like: Any, leaf: Callable[[Path, Any], Any], path: Path = ()) -> Any
 
 
 def c_header(header: str, sizes: Mapping[str, int], records: Mapping[str, NDArray[Any]]) -> str:
-    """Return a header in C that includes another one with some sizes, and declares constant records.
+    """Return a C header that defines sizes, includes another header, and defines constant records.
 
     Args:
-        header: The other one.
-        sizes: Its sizes, by their names without ``SF_``.
-        records: Records of the library, by their types and names.
+        header: Name of the included header.
+        sizes: Its sizes by their names without ``SF_``.
+        records: Records of the library by their types and names.
     """
     lines = [f"#define SF_{name} {size}" for name, size in sizes.items()]
     lines.append(f'#include "{header}"')
@@ -146,7 +148,7 @@ def c_header(header: str, sizes: Mapping[str, int], records: Mapping[str, NDArra
         assert record.dtype.fields is not None
         places = record.dtype.fields
         lines += ["", f"static const {declared} = {{"]
-        # C++ complains of fields in another order or left out, C of braces with nothing in them.
+        # C++ requires all fields in their order, and C does not allow empty braces.
         for name in sorted(places, key=lambda field: places[field][1]):
             values = record[name].ravel().tolist()
             numbers = ", ".join("HUGE_VAL" if value == inf else repr(value) for value in values) or "0"

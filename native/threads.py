@@ -1,4 +1,4 @@
-"""Calls of a library for many robots, shared among threads that do not hold the interpreter's lock."""
+"""Call a library for many robots in several threads, without the interpreter's lock."""
 
 import os
 from collections.abc import Callable
@@ -9,24 +9,24 @@ from typing import Any
 from numpy.typing import NDArray
 
 LEAST = 16
-"""Robots that a thread is given at least: with fewer of them, waking it takes longer than their step."""
+"""Minimum number of robots per thread. With fewer, waking a thread takes longer than their step."""
 
 _POOL: list[ThreadPoolExecutor] = []
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def call_for_many(function: Callable[..., Any], rows: tuple[NDArray[Any], ...], threads: int) -> None:
-    """Call a function for all rows of arrays, in parts that follow each other, one a thread.
+    """Call a function for all rows of arrays, in contiguous parts, with one thread per part.
 
     Args:
-        function: Takes the addresses of the first rows and the number of rows; it writes to rows alone that
-            are its own.
+        function: Takes the addresses of the first rows and the number of rows. It must write to these rows
+            only.
         rows: Contiguous arrays of the same length.
-        threads: How many parts there are at most.
+        threads: Maximum number of parts.
     """
     count = len(rows[0])
     parts = max(1, min(threads, count // LEAST))
@@ -49,5 +49,5 @@ def _pool() -> ThreadPoolExecutor:
 
 
 if hasattr(os, "register_at_fork"):
-    # The threads of a pool stay behind in a process that was forked.
+    # A forked process does not inherit the threads of the pool.
     os.register_at_fork(after_in_child=_POOL.clear)

@@ -172,7 +172,7 @@ def test_each_constant_has_one_home(library):
         found = (_attribute(part, field) for part in sources)
         homes = [home for home in found if home is not _MISSING and not callable(home)]
         assert all(np.array_equal(home, homes[0]) for home in homes), field
-    with pytest.raises(KeyError, match="Nobody has 'components' of the record 'moment_config'"):
+    with pytest.raises(KeyError, match="No value for field 'components' of record 'moment_config'"):
         library.constants("moment_config", own)
 
 
