@@ -1,4 +1,4 @@
-"""The IMU on a limb: its own errors, the limb's motion, and when the limb was at rest."""
+"""The IMU on a limb: its errors, the limb's motion, and smoothing of slow motion."""
 
 from surefoot.calibration.imu.accelerometer import (
     AccelerometerFit,

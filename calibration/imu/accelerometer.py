@@ -1,23 +1,25 @@
-r"""An accelerometer's bias and scale from its readings at rest, by the size of gravity alone.
+r"""An accelerometer's bias and scale from its readings at rest, using only the magnitude of gravity.
 
-At rest an accelerometer reads the specific force f = -g_sensor, whose size is known in every orientation:
+At rest an accelerometer reads the specific force f = -g_sensor, whose magnitude is known in every
+orientation:
 
 .. math:: | K (f - b) | = g
 
-so that its readings lie on an ellipsoid about the bias b, a sphere of radius g for a perfect one. No frame of
-reference is needed. A rotation before K does not change the size: of the nine entries of K six can be known,
-and K is taken **upper triangular** with a positive diagonal. The corrected vector then stands in a frame
-whose z axis is measured by the z channel alone and whose yz plane holds the y channel's axis. Any rotation of
-that frame against another sensor is for those who hold the two together.
+Its readings are on an ellipsoid about the bias b, a sphere of radius g for a perfect sensor. No frame of
+reference is needed. A rotation applied after K does not change the magnitude, so that six of the nine entries
+of K can be determined. K is chosen **upper triangular** with a positive diagonal. The z axis of the corrected
+frame is then measured by the z channel alone, and its yz plane contains the y channel's axis. The rotation of
+this frame relative to another sensor must be calibrated separately.
 
-The start is algebraic, linear in the coefficients of the quadric; then the distances of the readings from the
-ellipsoid are minimised, to first order :math:`(|K (f - b)| - g) / |K^T u|` with the corrected direction u.
-They have the noise of the readings whatever K is. The error of the size, :math:`|K (f - b)| - g`, has not: a
-smaller K makes it smaller, and where orientations hardly separate a scale from a bias (a hip that swings by
-40 degrees) that alone would pull the bias away by many deviations. Huber's loss bounds the pull of samples
-that moved, those beyond five deviations are left out, and the rest is fitted by plain least squares.
+The initial value is algebraic, linear in the coefficients of the quadric. Then the distances of the readings
+from the ellipsoid are minimised, to first order :math:`(|K (f - b)| - g) / |K^T u|` with the corrected
+direction u. Their noise is that of the readings for any K. This does not hold for the error of the magnitude,
+:math:`|K (f - b)| - g`: a smaller K makes it smaller. If orientations hardly separate a scale from a bias (a
+hip that swings by 40 degrees), that alone would bias the result by many standard deviations. Huber's loss
+limits the influence of samples that moved. Those beyond five deviations are left out, and the others are
+fitted by least squares.
 
-A bias matters most to F/T sensors: 0.08 g of it moved the offset of an ATI Gamma under 0.93 kg by 0.7 N.
+A bias matters most to F/T sensors: 0.08 g moved the offset of an ATI Gamma under 0.93 kg by 0.7 N.
 """
 
 from dataclasses import dataclass
@@ -38,28 +40,28 @@ AccelerometerModel = Literal["bias", "bias-scale", "full"]
 
 _UNKNOWNS = {"bias": 3, "bias-scale": 6, "full": 9}
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-"""Where the unknowns of K stand: the diagonal, then K12, K13, K23."""
+"""Rows and columns of the unknowns in K: the diagonal, then K12, K13, K23."""
 
-_BIAS = slice(0, 3)  # where b stands; the entries of K follow
-_TINY = 1e-12  # size of a corrected reading at least, so that it has a direction
+_BIAS = slice(0, 3)  # the unknowns of b, which are followed by those of K
+_TINY = 1e-12  # lower bound of the length of a corrected reading, so that its direction is defined
 
 _MOST_NOISE = 0.05
 """Spread of the readings about the ellipsoid, over gravity, above which the accelerometer was not at rest."""
 
 _ROUNDS, _SETTLED = 10, 0.01
-"""Rounds of the robust fit at most, and the relative change of the spread below which it ends."""
+"""Maximum number of rounds of the robust fit, and the relative change of the spread below which it ends."""
 
 _HUBER = 1.345
-"""Deviations beyond which samples pull no harder: 95 % efficient for normal noise (Huber, 1964)."""
+"""Huber's constant in standard deviations: 95 % efficient for normal noise (Huber, 1964)."""
 
 _LEAST_SPREAD = 1e-4
-"""Spread of the readings about the ellipsoid, over gravity, at least: data without noise have none."""
+"""Lower bound of the spread of the readings about the ellipsoid, over gravity, for data without noise."""
 
-_OUTLIER = 5.0  # deviations beyond which a sample counts as moved
+_OUTLIER = 5.0  # deviations above which a sample counts as moved
 _CONVERGED = 1e-15  # relative change at which the last fit ends
 
-_FLAT = 0.05  # least eigenvalue of a quadric of trace 3 at or below which it is no ellipsoid to start from
-_UNIT = (0.5, 2.0)  # between these the median size of the readings must lie, over gravity
+_FLAT = 0.05  # smallest eigenvalue (at trace 3) of a valid initial ellipsoid
+_UNIT = (0.5, 2.0)  # allowed range of the median magnitude of the readings, over gravity
 
 _CURE = "Rest the accelerometer on further sides, such as all six of a cube and some between them."
 
@@ -71,11 +73,11 @@ class AccelerometerFit:
     Attributes:
         bias: b in the unit of the readings, shape (3,).
         matrix: K, upper triangular, in the unit of gravity per that of the readings, shape (3, 3).
-        covariance: Of (b, the diagonal of K, K12, K13, K23) as far as the model has them, shape (3, 3), (6,
-            6) or (9, 9), from the scatter of the residuals.
-        result: Always determined: a fit that is not is refused.
-        stats: Of the fit; gated samples moved, and the residual is in the unit of the readings.
-        gravity: The size of gravity that was taken, in m/s^2 (1.0 for g).
+        covariance: Covariance of (b, the diagonal of K, K12, K13, K23) as far as they are in the model, shape
+            (3, 3), (6, 6) or (9, 9), from the scatter of the residuals.
+        result: Always ``DETERMINED``, because other fits are refused.
+        stats: Statistics of the fit. Gated samples moved, and the residual is in the unit of the readings.
+        gravity: The magnitude of gravity that was used, in m/s^2 (1.0 for g).
     """
 
     bias: Floats
@@ -86,13 +88,13 @@ class AccelerometerFit:
     gravity: float
 
     def correct(self, specific_force: ArrayLike) -> Floats:
-        """Return K (f - b) in the unit of gravity; at rest, g in the sensor's frame is its negative.
+        """Return K (f - b) in the unit of gravity, which is -g in the sensor's frame at rest.
 
         Args:
             specific_force: Readings, shape (..., 3).
 
         Returns:
-            Shape (..., 3).
+            Corrected readings, shape (..., 3).
         """
         return np.asarray((np.asarray(specific_force, dtype=np.float64) - self.bias) @ self.matrix.T)
 
@@ -105,24 +107,24 @@ def calibrate_accelerometer(
     minimum_spread: float = MINIMUM_SPREAD,
     tolerance: float = 1e-3,
 ) -> AccelerometerFit:
-    """Return an accelerometer's bias, scale and skewness by readings at rest.
+    """Estimate an accelerometer's bias, scales and non-orthogonality from readings at rest.
 
     Args:
         specific_force: Readings at rest in many orientations, shape (n, 3), in about the unit of ``gravity``.
-            Samples that are not finite are left out, and so are those that moved, if there are more than
+            Samples that are not finite are left out. So are samples that moved, if there are more than
             twice as many samples as unknowns.
-        gravity: Size of gravity at the place in m/s^2, or 1.0 for readings in g.
+        gravity: Magnitude of local gravity in m/s^2, or 1.0 for readings in g.
         model: ``"bias"`` (3 unknowns), ``"bias-scale"`` (6) or ``"full"`` (9). Each needs orientations that
-            show its unknowns; an error that is really there and not in the model goes into the others.
-        minimum_spread: Standard deviation of the readings along their least seen direction, over gravity's
-            size, that is asked for.
-        tolerance: Singular values at or below this share of the largest, with columns scaled to one length,
-            count as not determined.
+            excite its unknowns. Errors that are not in the model bias the other unknowns.
+        minimum_spread: Smallest allowed standard deviation of the readings along any direction, over the
+            magnitude of gravity.
+        tolerance: Share of the largest singular value, with columns scaled to unit length, at or below which
+            a direction counts as not determined.
 
     Raises:
-        ValueError: If the shape is wrong or the model unknown.
-        CalibrationRefused: If there are too few samples or orientations, the unit seems to be another one, or
-            most of the samples moved.
+        ValueError: If the shape is wrong or the model does not exist.
+        CalibrationRefused: If there are too few samples or orientations, the readings seem to be in another
+            unit, or most of the samples moved.
 
     >>> sides = 9.80665 * np.vstack([np.eye(3), -np.eye(3)])
     >>> calibrate_accelerometer(sides + [0.3, 0.0, -0.1]).bias.round(6) + 0.0
@@ -138,7 +140,7 @@ def calibrate_accelerometer(
     bias, K = _unpack(solved.x)
     square = float(np.sum(solved.fun**2))
     free = len(kept) - unknowns
-    # From readings in units of gravity to the caller's: b by g, while K keeps its size.
+    # Convert from units of gravity to the caller's unit: b is multiplied by g, and K does not change.
     unit = np.where(np.arange(unknowns) < _BIAS.stop, gravity, 1.0)
     return AccelerometerFit(
         bias=gravity * bias,
@@ -159,7 +161,7 @@ def calibrate_accelerometer(
 
 
 def _unpack(theta: Floats) -> tuple[Floats, Floats]:
-    """Return the unknowns as b and K."""
+    """Return b and K from the vector of unknowns."""
     K = np.eye(3)
     entries = theta[_BIAS.stop :]
     K[_ROWS[: len(entries)], _COLUMNS[: len(entries)]] = entries
@@ -175,18 +177,18 @@ def _distances(theta: Floats, force: Floats) -> Floats:
 
 
 def _slopes(theta: Floats, force: Floats) -> Floats:
-    """Return the slopes of the distances by the unknowns, shape (n, p)."""
+    """Return the Jacobian of the distances with respect to the unknowns, shape (n, p)."""
     bias, K = _unpack(theta)
     d = force - bias
     corrected = d @ K.T
     a = np.maximum(np.linalg.norm(corrected, axis=1, keepdims=True), _TINY)
     u = corrected / a
-    v = u @ K  # K'u, the slope of a = |K d| by the reading
+    v = u @ K  # K'u, the gradient of a = |K d| with respect to the reading
     s = np.linalg.norm(v, axis=1, keepdims=True)
     q = v @ K.T
     entries = len(theta) - _BIAS.stop
     i, j = _ROWS[:entries], _COLUMNS[:entries]
-    # For a change w of K d, a changes by u'w and s by (q'w - s^2 u'w) / (a s); K_ij turns v itself as well.
+    # For a change w of K d, a changes by u'w and s by (q'w - s^2 u'w) / (a s). K_ij also changes v directly.
     of_a = np.hstack([-v, u[:, i] * d[:, j]])
     of_q = np.hstack([-q @ K, q[:, i] * d[:, j]])
     of_v = np.hstack([np.zeros_like(d), u[:, i] * v[:, j]])
@@ -195,16 +197,16 @@ def _slopes(theta: Floats, force: Floats) -> Floats:
 
 
 def _spread_of(residual: Floats, unknowns: int) -> float:
-    """Return the standard deviation of the residuals, which outliers do not move."""
+    """Return a robust estimate of the standard deviation of the residuals."""
     lost = np.sqrt(len(residual) / (len(residual) - unknowns))
     return max(float(MAD_TO_STD * lost * np.median(np.abs(residual))), _LEAST_SPREAD)
 
 
 def _fit_ellipsoid(force: Floats, unknowns: int) -> tuple[Any, Floats]:
-    """Fit samples that did not move; return SciPy's result, and these samples."""
+    """Fit the samples that did not move. Return SciPy's result, and these samples."""
     start, scale = _robust_start(force, unknowns)
-    # Half of the samples lie within one deviation: of more than 2 p, enough are left for p unknowns. Of
-    # fewer, none counts as moved.
+    # At least half of the samples are within one deviation, so that of more than 2 p samples enough remain
+    # for p unknowns. With fewer samples, all of them are used.
     still = np.abs(_distances(start, force)) <= _OUTLIER * scale
     kept = force[still] if len(force) > 2 * unknowns else force
     plain: dict[str, Any] = {"jac": _slopes, "xtol": _CONVERGED, "ftol": _CONVERGED, "gtol": _CONVERGED}
@@ -212,7 +214,7 @@ def _fit_ellipsoid(force: Floats, unknowns: int) -> tuple[Any, Floats]:
 
 
 def _robust_start(force: Floats, unknowns: int) -> tuple[Floats, float]:
-    """Fit with Huber's loss; return unknowns and the scale of residuals, or refuse a moving sensor."""
+    """Fit with Huber's loss. Return the unknowns and the scale of residuals, or refuse a moving sensor."""
     start = _algebraic_start(force, unknowns)
     scale = _spread_of(_distances(start, force), unknowns)
     for _ in range(_ROUNDS):
@@ -231,7 +233,7 @@ def _robust_start(force: Floats, unknowns: int) -> tuple[Floats, float]:
 
 
 def _algebraic_start(force: Floats, unknowns: int) -> Floats:
-    """Return unknowns by a linear fit of a quadric, or of a sphere if that is no ellipsoid."""
+    """Return initial unknowns from a linear fit of a quadric, or of a sphere if that is not an ellipsoid."""
     x, y, z = force.T
     square = np.sum(force**2, axis=1)
     # |f|^2 = 2 b'f + const: a sphere about b of any radius.
@@ -239,7 +241,7 @@ def _algebraic_start(force: Floats, unknowns: int) -> Floats:
     theta = np.concatenate([sphere[_BIAS], np.eye(3)[_ROWS, _COLUMNS]])[:unknowns]
     if unknowns == 3:
         return theta
-    # f'Qf - 2 q'f + const = 0 with trace Q = 3; its terms beside |f|^2 are spread by what is no sphere.
+    # f'Qf - 2 q'f + const = 0 with trace Q = 3. The other terms describe the deviation from a sphere.
     terms = [x**2 - z**2, y**2 - z**2, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z]
     if unknowns == 6:
         terms = terms[:2]
@@ -253,7 +255,7 @@ def _algebraic_start(force: Floats, unknowns: int) -> Floats:
     if np.linalg.eigvalsh(Q)[0] <= _FLAT:
         return theta
     centre = np.linalg.solve(Q, linear)
-    # The mean of (f - centre)'Q (f - centre), by the normal equations: positive.
+    # The mean of (f - centre)'Q (f - centre), which is positive by the normal equations.
     square_radius = constant + linear @ centre
     # Q / radius^2 = K'K; Cholesky gives the upper factor.
     K = np.linalg.cholesky(Q / square_radius).T
@@ -261,7 +263,7 @@ def _algebraic_start(force: Floats, unknowns: int) -> Floats:
 
 
 def _determine(jacobian: Floats, model: str, tolerance: float) -> tuple[Floats, Floats]:
-    """Return the map from unit residuals to the unknowns, and singular values; refuse too low a rank."""
+    """Return the map from unit residuals to the unknowns, and singular values. Refuse a deficient rank."""
     unit, length = of_unit_length(jacobian)
     _, singular, right = np.linalg.svd(unit, full_matrices=False)
     rank, unknowns = int(np.sum(singular > tolerance * singular[0])), _UNKNOWNS[model]
@@ -276,9 +278,10 @@ def _determine(jacobian: Floats, model: str, tolerance: float) -> tuple[Floats, 
 def _read_samples(
     specific_force: ArrayLike, gravity: float, unknowns: int, minimum_spread: float
 ) -> tuple[Floats, int]:
-    """Return finite samples in units of gravity, shape (n, 3), and the number of others.
+    """Return finite samples in units of gravity, shape (n, 3), and the number of the other samples.
 
-    Another shape is a ValueError. Too few, another unit and too few orientations are refused.
+    ValueError for another shape. CalibrationRefused for too few samples, another unit and too few
+    orientations.
     """
     every = np.asarray(specific_force, dtype=np.float64)
     if every.ndim != 2 or every.shape[1] != 3:

@@ -1,4 +1,4 @@
-"""How far gravity turned in the readings of an IMU."""
+"""How far the direction of gravity varied in the readings of an IMU."""
 
 import numpy as np
 
@@ -6,10 +6,10 @@ from surefoot.arrays import Floats
 from surefoot.calibration.results import CalibrationRefused
 
 MINIMUM_SPREAD = 0.01
-"""Standard deviation of gravity along its least seen direction over gravity's size, dimensionless.
+"""Standard deviation of gravity along its least excited direction, over the magnitude of gravity.
 
-About half a degree. What an accelerometer's noise and a wobbling joint add to a plane motion lies below it: a
-fit that took them for gravity turning would divide by them.
+This is about half a degree. The noise of an accelerometer and a wobbling joint add less than this to a planar
+motion. A fit that used them as excitation would divide by noise.
 """
 
 _SEEN = (
@@ -20,10 +20,11 @@ _SEEN = (
 
 
 def gravity_spread(centred: Floats, size: float) -> Floats:
-    """Return by how much of its size gravity spreads along its principal axes, the widest first, shape (3,).
+    """Return the standard deviations of gravity along its principal axes over its magnitude, shape (3,).
 
-    Of gravity less its mean, (n, 3), in any unit, or the triangular factor of these; ``size`` is the root
-    mean square of gravity's length times the root of the number of samples.
+    Args:
+        centred: Gravity minus its mean, shape (n, 3), in any unit, or the triangular factor of it.
+        size: Root mean square of the magnitude of gravity times the square root of the number of samples.
     """
     singular = np.linalg.svd(centred, compute_uv=False)
     spread = np.zeros(3)
@@ -32,11 +33,10 @@ def gravity_spread(centred: Floats, size: float) -> Floats:
 
 
 def check_gravity_spread(centred: Floats, size: float, minimum: float, sought: str, cure: str) -> None:
-    """Raise CalibrationRefused if vectors of gravity do not spread in three dimensions.
+    """Raise CalibrationRefused unless gravity varied in three dimensions.
 
-    Vectors and size are those of :func:`gravity_spread`. They must spread by a minimum, as a share of
-    gravity's size, along their least seen direction; the message names the unknown that is sought and the
-    cure.
+    The first two arguments are those of :func:`gravity_spread`. The spread along each direction must be at
+    least ``minimum``. The message names the unknown that is ``sought`` and the cure.
     """
     spread = gravity_spread(centred, size)
     rank = int(np.sum(spread >= minimum))

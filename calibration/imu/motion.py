@@ -1,15 +1,15 @@
-"""From an IMU somewhere on the limb to the load of an F/T sensor.
+"""The motion of a limb at an F/T sensor, from an IMU anywhere on the limb.
 
-An IMU at p in the sensor's frame reads the specific force f = a_imu - g, and for a rigid limb
+An IMU at p in the sensor's frame reads the specific force f = a_imu - g. For a rigid limb
 
     a_imu = a + alpha x p + omega x (omega x p)
 
-with the acceleration a of the sensor's origin. The limb's weight at the sensor follows g - a, so that
+with the acceleration a of the sensor's origin. The limb's weight at the sensor is proportional to g - a, and
 
     g - a = -R_sensor_imu f + alpha x p + omega x (omega x p).
 
 The angular acceleration alpha is the derivative of the gyroscope's rate by local polynomials
-(Savitzky-Golay): a zero-phase filter, for logs. At rest all this is g = -R f, wherever the IMU sits.
+(Savitzky-Golay), a zero-phase filter for logs. At rest this is g = -R f for any position of the IMU.
 """
 
 from typing import NamedTuple
@@ -48,21 +48,22 @@ def gravity_from_imu(
     """Transfer an IMU's log to the sensor's origin.
 
     Args:
-        specific_force: The accelerometer's readings, calibrated, in the IMU's frame in m/s^2, shape (n, 3).
-        angular_velocity: The gyroscope's readings less its bias, in the IMU's frame in rad/s, shape (n, 3).
-        dt: Time between samples in s, the same for all.
-        position_imu: Of the accelerometer in the sensor's frame in m, shape (3,).
-        R_sensor_imu: Turns vectors of the IMU's frame into the sensor's, shape (3, 3); else the identity.
-        window: Of the derivative in samples, odd. The noise of alpha falls with its 3/2nd power; motion
-            faster than about the window is flattened.
-        order: Of the derivative's polynomials.
+        specific_force: Calibrated readings of the accelerometer in the IMU's frame in m/s^2, shape (n, 3).
+        angular_velocity: Readings of the gyroscope minus its bias in the IMU's frame in rad/s, shape (n, 3).
+        dt: Time between samples in s, which must be constant.
+        position_imu: Position of the accelerometer in the sensor's frame in m, shape (3,).
+        R_sensor_imu: Rotation from the IMU's frame to the sensor's frame, shape (3, 3), by default the
+            identity.
+        window: Window of the derivative in samples, odd. The noise of alpha decreases with its power of 3/2,
+            and motion that is faster than about the window is attenuated.
+        order: Order of the polynomials of the derivative.
 
     Returns:
         The motion at the sensor's origin.
 
     Raises:
-        ValueError: If shapes do not belong together, the rotation is none, the log is shorter than the window
-            or the gyroscope's log is not finite. Accelerometer samples that are not finite stay so.
+        ValueError: If shapes do not match, ``R_sensor_imu`` is not a rotation, the log is shorter than the
+            window, or the gyroscope's log is not finite. Accelerometer samples may be NaN.
 
     >>> motion = gravity_from_imu(np.tile([0.0, 0.0, 9.81], (40, 1)), np.zeros((40, 3)), dt=0.01)
     >>> motion.gravity[0] + 0.0

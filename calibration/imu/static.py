@@ -1,8 +1,8 @@
-"""The filter of a log whose limb moves slowly (in-situ paper, II-B and IV).
+"""The filter for logs of slowly moving limbs (in-situ paper, II-B and IV).
 
-The paper's model holds at rest. Its authors moved the limb slowly and filtered raw readings and accelerometer
-alike with a Savitzky-Golay filter of third order over 301 samples, 3 s at 100 Hz. The filter is zero-phase:
-it looks into the future and serves logs only.
+The paper's model holds at rest. Its authors moved the limb slowly and filtered both raw readings and
+accelerometer with a Savitzky-Golay filter of third order over 301 samples, 3 s at 100 Hz. The filter is
+zero-phase and uses future samples, so that it can only be applied to logs.
 """
 
 import numpy as np
@@ -20,18 +20,18 @@ def savitzky_golay(
 
     Args:
         signal: Samples at a constant rate, shape (n, ...).
-        window: Length of the polynomials' pieces in samples, odd.
-        order: Of the polynomials.
-        derivative: Which derivative to take, 0 for the signal itself.
-        dt: Time between samples in s; matters to derivatives only.
+        window: Length of the window in samples, odd.
+        order: Order of the polynomials.
+        derivative: Order of the derivative, 0 for the signal itself.
+        dt: Time between samples in s, used for derivatives only.
 
     Returns:
-        The smoothed signal or its derivative (per s), shape (n, ...). Half a window at either end comes from
-        the polynomial of the outermost window.
+        The smoothed signal or its derivative (per s), shape (n, ...). Half a window at either end is from the
+        polynomial of the outermost window.
 
     Raises:
-        ValueError: If the log is shorter than the window, holds values that are not finite, or the window,
-            the order and the derivative do not belong together.
+        ValueError: If the log is shorter than the window or holds values that are not finite, or if the
+            window, the order and the derivative are inconsistent.
 
     >>> savitzky_golay(np.arange(1.0, 8.0) ** 3, window=5).round(6)
     array([  1.,   8.,  27.,  64., 125., 216., 343.])

@@ -3,20 +3,21 @@ r"""The CoP paper's sliding window: Gauss-Newton on the last half second (Eq. 14
 .. math:: \min_\theta \sum_k w_F \left(\frac{F_{z,k} - F_{z,k}^{ref}}{M g}\right)^2
           + w_P \left|\frac{p_k - p_k^{ref}}{L}\right|^2 + |\theta - \theta_{last}|^2_{w_S}
 
-over scales and offsets of all channels, solved every four samples by five iterations from the last
-solution, after a standing start (Eqs. 12, 13; :mod:`surefoot.calibration.standing`).
+over scales and offsets of all channels. It is solved every four samples by five iterations from the last
+solution, after a standing start (Eqs. 12, 13, :mod:`surefoot.calibration.standing`).
 
-Where the paper is silent or a stream demands it, this departs from it:
+Differences from the paper, where it does not specify something or an online stream requires it:
 
 * Unknowns are a and b / (M g) of F = a F0 + b, both of order one, instead of c and d.
-* The paper filters forces and accelerations at 10 Hz and then divides. A centre of pressure is only defined
-  up to the level frame, which a robot may move from sample to sample, so here the *rows* of (Fz, Fz (p -
-  p_ref)) pass the filter, which do not depend on the frame and are linear in the unknowns; the division
-  comes after. Forces and reference pass the same filter, so that its delay cancels.
-* "Outlier rejection around contact transitions" is made concrete: samples shortly after a foot gained or
-  lost the ground whose residual exceeds ``outlier_threshold`` standard deviations and as many times the
+* The paper filters forces and accelerations at 10 Hz and then divides. The centre of pressure depends on the
+  level frame, which may change from sample to sample. Here the filter is therefore applied to the *rows* of
+  (Fz, Fz (p - p_ref)), which do not depend on the frame and are linear in the unknowns, and the division
+  follows. Forces and reference pass the same filter, so that its delay cancels.
+* "Outlier rejection around contact transitions" rejects samples shortly after a foot has gained or lost
+  contact whose residual exceeds ``outlier_threshold`` standard deviations and the same multiple of the
   window's median.
-* A sample that is off by half the weight or half a foot is no calibration error at all, and is never let in.
+* Samples that are off by half the weight or half a foot length are never used, because no calibration error
+  is as large.
 """
 
 from dataclasses import dataclass
@@ -34,20 +35,19 @@ from surefoot.calibration.setup import OnlineSetup
 
 @dataclass(frozen=True, kw_only=True)
 class Window:
-    """Options of the sliding window; forces in body weights, lengths in foot lengths, as in the paper."""
+    """Options of the sliding window, in body weights and foot lengths as in the paper."""
 
     window: float = 0.5
     """Length of the window in s."""
 
     every: int = 4
-    """Samples from one update to the next: 4 at 80 Hz are the paper's 20 Hz."""
+    """Samples between updates: 4 at 80 Hz are the paper's 20 Hz."""
 
     iterations: int = 5
     """Gauss-Newton iterations of one update."""
 
     cutoff: float | None = 10.0
-    """Cutoff of the causal low-pass filter on both sides in Hz; ``None`` for logs that were filtered
-    before."""
+    """Cutoff in Hz of the causal low-pass filter of forces and reference, or ``None`` for filtered logs."""
 
     delta_force: float = 0.01
     """Standard deviation of the vertical force against the model, in body weights (w_F = 1 / delta_F^2)."""
@@ -59,18 +59,18 @@ class Window:
     scale_step: float = 3e-3
     """Expected change of a scale from one update to the next (w_S = 1 / step^2).
 
-    Cells that drift by 2 % per square root of a minute change by 6e-4 in 50 ms. A sample stays in the
-    window for ten updates and is counted by each, which sqrt(10) times the step makes up for: 2e-3. The
-    choice is not delicate: on walks of a simulated NAO errors of the centre of pressure change by a tenth
-    between 2e-3 and 2e-2 (with offsets in proportion). Much larger steps let the window follow its
-    reference's errors wherever half a second excites the parameters too little to tell, at a hundred times
-    more to twice the error; at a tenth it needs minutes to correct a bad start."""
+    Cells that drift by 2 % per square root of a minute change by 6e-4 in 50 ms. A sample is in the window for
+    ten updates, and each of them counts it. A factor of sqrt(10) compensates for this: 2e-3. The choice is
+    not critical: on walks of a simulated NAO, errors of the centre of pressure change by a tenth between 2e-3
+    and 2e-2 (with offsets in proportion). With much larger steps the window follows errors of its reference
+    where half a second does not excite the parameters enough: at a hundred times the step the error doubles.
+    At a tenth of the step, correcting a bad start takes minutes."""
 
     offset_step: float = 9e-4
     """Expected change of an offset from one update to the next, in body weights: 0.05 N for a NAO. Drift of
-    1 N per square root of a minute gives 0.03 N in 50 ms, and 0.09 N if it is made up for as above; half of
-    that, because the constant error of a believed centre of mass looks like offsets and should not be
-    learnt as fast."""
+    1 N per square root of a minute gives 0.03 N in 50 ms, or 0.09 N with the factor above. The value is half
+    of that, because a constant error of the believed centre of mass has the same effect as offsets and should
+    not be learnt as fast."""
 
     scale_step_bound: float = 0.02
     """Largest change of a scale in one iteration."""
@@ -85,25 +85,25 @@ class Window:
     """Largest change of an offset per second, in body weights."""
 
     scale_range: tuple[float, float] = (0.5, 2.0)
-    """Least and greatest scale against the starting map's that a sensor can have."""
+    """Smallest and largest scale relative to the starting map."""
 
     offset_range: float = 0.5
-    """Largest offset that a sensor can have against the starting map, in body weights."""
+    """Largest offset from the starting map in body weights."""
 
     transition: float = 0.1
-    """Time after a foot gained or lost the ground in which samples may be rejected, in s: what happens then
-    lasts for some samples, and for some more in the filter."""
+    """Time in s after a foot has gained or lost contact in which samples may be rejected. It covers the
+    transition itself and the memory of the filter."""
 
     outlier_threshold: float = 3.0
-    """Residual, in standard deviations and against the window's median, that such a sample is rejected
-    for."""
+    """Residual above which such a sample is rejected, in standard deviations and in multiples of the window's
+    median."""
 
     gross_error: float = 0.5
-    """Error of the vertical force in body weights, and of the centre of pressure in foot lengths, that no
-    calibration error explains: such samples are never used."""
+    """Error of the vertical force in body weights, and of the centre of pressure in foot lengths, above which
+    samples are never used, because no calibration error is as large."""
 
     settle: float = 0.05
-    """Time after a bad sample before samples are used again, so that the filter holds none of it, in s."""
+    """Time in s after a bad sample before samples are used again, so that it has left the filter."""
 
     minimum_share: float = 0.25
     """Share of the window that must be usable and in contact for an update."""
@@ -112,28 +112,28 @@ class Window:
     """Whether to begin with quiet standing (Eqs. 12, 13)."""
 
     standing_warm_up: float = 0.5
-    """Time that is left out before the standing start, T_warm, in s."""
+    """Time before the standing start that is not used, T_warm, in s."""
 
     standing_duration: float = 2.0
-    """Time of quiet standing that is wanted after that, in s."""
+    """Time of quiet standing after the warm-up in s."""
 
     standing_samples: int = 40
-    """Samples, in contact and still, that a standing start needs. A robot that lifts a foot before has no
-    standing start, and one that lifts it before ``standing_duration`` has a shorter one."""
+    """Minimum number of samples, in contact and still, of a standing start. A robot that lifts a foot earlier
+    has no standing start. One that lifts it before ``standing_duration`` has a shorter one."""
 
     standing_patience: float = 15.0
-    """Time in s after which a robot that never stood still goes on without a standing start."""
+    """Time in s after which a robot that never stood still continues without a standing start."""
 
     standing_scale_std: float = 0.02
-    """How far scales are thought to be from the starting map as standing begins: little, as the paper
-    calibrates from known weights before. Standing shows the same for an error of the sensors and for one of
-    the believed centre of mass; this number decides which of them is corrected."""
+    """Prior standard deviation of scales at the standing start. It is small because the paper calibrates with
+    known weights first. Standing cannot distinguish an error of the sensors from one of the believed centre
+    of mass, and this value decides which of them is corrected."""
 
     standing_offset_std: float = 0.005
-    """How far offsets are thought to be from the starting map as standing begins, in body weights."""
+    """Prior standard deviation of offsets at the standing start in body weights."""
 
     def __post_init__(self) -> None:
-        """Raise an error if a value has no meaning."""
+        """Raise an error if a value is out of range."""
         check_positive(
             self, "window", "delta_force", "delta_cop", "scale_step", "offset_step",
             "scale_step_bound", "offset_step_bound", "scale_rate", "offset_rate", "offset_range",
