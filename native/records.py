@@ -88,11 +88,11 @@ class StateRecord(Record):
     def python(self) -> Any:
         """Return the state as nested tuples, in memory of its own."""
 
-        def copied(path: Path, like: Any) -> Any:
+        def copy_leaf(path: Path, like: Any) -> Any:
             part = self.now["_".join(path)]
             return part.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(part)
 
-        return rebuilt(self._like, copied)
+        return rebuilt(self._like, copy_leaf)
 
 
 def _record(dtype: np.dtype[Any], values: bytes) -> Record:
