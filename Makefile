@@ -52,7 +52,7 @@ results: $(VENV)/.dev
 		$(BIN)/surefoot evaluate surefoot/$${task#*:}Hard-v0 shipped zero $(FEEDS) --seeds $(HARD_EPISODES) --jobs 2 \
 			--out $(RESULTS)/$${task%:*}-hard || exit 1; \
 	done
-	$(BIN)/surefoot compare in-situ --seeds $(RIGS) --jobs 2 --out $(RESULTS)/in-situ
+	$(BIN)/python benchmarks/in_situ_paper.py --seeds $(RIGS) --jobs 2
 	$(BIN)/surefoot compare robots --seeds $(ROBOTS) --jobs 2 --out $(RESULTS)/robots
 	$(BIN)/surefoot compare walking --full --seeds $(WALKS) --out $(RESULTS)/full
 	$(BIN)/python docs/study_tables.py $(RESULTS)

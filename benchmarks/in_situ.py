@@ -40,13 +40,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from rich.console import Console
-from scipy.spatial.transform import Rotation
-
-from surefoot.arrays import Floats
-from surefoot.calibration.in_situ import InSituFit, InSituOptions, InSituSet, InSituTracker, calibrate_in_situ
-from surefoot.envs.leg_rig.recording import RigRecording, record_rig
-from surefoot.experiments.force_torque.validation import normalise_error
-from surefoot.experiments.in_situ.instruments import (
+from rig import (
     OFFSET_SHIFT,
     accelerometer_bias,
     read_imu,
@@ -54,6 +48,12 @@ from surefoot.experiments.in_situ.instruments import (
     sensor_config,
     static_sets,
 )
+from scipy.spatial.transform import Rotation
+
+from surefoot.arrays import Floats
+from surefoot.calibration.in_situ import InSituFit, InSituOptions, InSituSet, InSituTracker, calibrate_in_situ
+from surefoot.envs.leg_rig.recording import RigRecording, record_rig
+from surefoot.experiments.force_torque.validation import normalise_error
 from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.tables import Table
 from surefoot.sensors import strain_gauges

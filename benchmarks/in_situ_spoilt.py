@@ -21,6 +21,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from rig import (
+    SensorTruth,
+    moving_sets,
+    read_imu,
+    read_sensor,
+    sensor_config,
+    static_sets,
+)
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -30,14 +38,6 @@ from surefoot.calibration.in_situ.data import change_motion, read_later
 from surefoot.calibration.in_situ.fit import ErrorColumns, error_covariance
 from surefoot.calibration.results import CalibrationRefused
 from surefoot.envs.leg_rig.recording import record_rig
-from surefoot.experiments.in_situ.instruments import (
-    SensorTruth,
-    moving_sets,
-    read_imu,
-    read_sensor,
-    sensor_config,
-    static_sets,
-)
 from surefoot.sensors import Imu
 
 SEED = 2

@@ -39,25 +39,6 @@ def walking(
 
 
 @app.command()
-def in_situ(
-    out: Out = Path("out/compare-in-situ"),
-    seeds: Annotated[int, Option(help="Sensors and IMUs, each with errors of its own.", min=1)] = 50,
-    jobs: Jobs = 2,
-    quick: Annotated[bool, Option("--quick", help="Two seeds at 10 samples a second.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Compare in-situ methods on a simulated leg with known masses, as the in-situ paper."""
-    from surefoot.experiments.in_situ.page import compare_in_situ
-    from surefoot.experiments.in_situ.study import InSituStudyOptions
-
-    with one_line_errors(out):
-        options = InSituStudyOptions(out=out, seeds=seeds, jobs=jobs)
-        out.mkdir(parents=True, exist_ok=True)
-        report = compare_in_situ(options.quickly() if quick else options)
-    show(report.tables, {"report": report.page}, as_json=as_json)
-
-
-@app.command()
 def robots(
     out: Out = Path("out/compare-robots"),
     seeds: Annotated[int, Option(help="Of each robot, motion and kind of sensors.", min=1)] = 5,

@@ -1,4 +1,4 @@
-"""Sensors on the rig of in-situ calibration: from true wrenches and motion to a robot's readings.
+"""Sensors on the simulated rig of in-situ calibration: from true wrenches and motion to a robot's readings.
 
 Everything random belongs to a seed. Offsets jump between data sets, as masses are changed.
 """
@@ -32,11 +32,12 @@ XSENS_MTX = Imu(
     gyroscope_range=20.9,
     averaged=False,
 )
-"""An IMU of the class that the in-situ paper took (XSens MTx): noise densities of 0.002 m/s^2 and 0.05 deg/s
-per root hertz, 50 m/s^2 and 1200 deg/s of range. Its gyroscope was zeroed at rest; its accelerometer was not
-calibrated. The walks are ours: the maker gives none."""
+"""An IMU like the one of the in-situ paper (XSens MTx): noise densities of 0.002 m/s^2 and 0.05 deg/s per
+root hertz, ranges of 50 m/s^2 and 1200 deg/s. Its gyroscope was zeroed at rest; its accelerometer was not
+calibrated. The random walks are assumptions, because the data sheet gives none."""
 
-OFFSET_SHIFT = (2.0, 0.05)  # standard deviation of the offsets' jumps between sets, in N and N m
+SENSORS = ("foot", "leg")
+OFFSET_SHIFT = (2.0, 0.05)  # standard deviation of the jumps of the offsets between sets, in N and N m
 
 _STREAM = 0x1F75
 
@@ -45,13 +46,17 @@ class SensorTruth(NamedTuple):
     """The simulator's truth of a sensor."""
 
     response: Floats  # A in counts per N and N m, shape (6, 6)
-    offsets: Floats  # o in counts, means of each set's beginning and end, shape (J, 6)
+    offsets: Floats  # o in counts, mean of the beginning and the end of each set, shape (J, 6)
     offset: Floats  # o at the end of the last set in counts, shape (6,)
     limb: Limb  # beyond the sensor, nothing added
 
 
 def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> StrainGauges:
-    """Return the sensor of "foot" or "leg"; white leaves its noise as the only error, exact none."""
+    """Return the sensor of "foot" or "leg".
+
+    With ``white`` its only error is white noise, besides its matrix and offsets; with ``exact`` it has no
+    noise.
+    """
     config = preset(f"icub-ftsens-{sensor}", StrainGauges)
     if white or exact:
         config = replace(
@@ -69,8 +74,8 @@ def sensor_config(sensor: str, *, white: bool = False, exact: bool = False) -> S
 def read_sensor(
     config: StrainGauges, sensor: str, recordings: Sequence[RigRecording], seed: int
 ) -> tuple[Floats, SensorTruth]:
-    """Return counts (J, n, 6) that a seed's sensor reads of J recordings of one rate, and the truth."""
-    place = ("foot", "leg").index(sensor)
+    """Return the counts (J, n, 6) of a seed's sensor in J recordings of one rate, and the truth."""
+    place = SENSORS.index(sensor)
     rng, stream = np.random.default_rng([_STREAM, place + 2, seed]), Stream.of(_STREAM, place, seed)
     state = strain_gauges(config).init((config.channels,), rng)
     response = true_response(config, state)[0]
@@ -80,7 +85,8 @@ def read_sensor(
     last: list[Floats] = []
     for recording in recordings:
         if first:
-            # It is switched on again for each set: only its offsets have jumped since the last.
+            # The sensor is switched on again for each set, and only its offsets have changed since the last
+            # one.
             state = shift_offset(config, state, rng, *OFFSET_SHIFT)
         raw, after = read_sequence(config, getattr(recording, f"wrench_{sensor}"), state, stream, dt)
         counts.append(raw)
@@ -94,9 +100,9 @@ def read_sensor(
 def read_sequence(
     config: StrainGauges, wrench: Floats, state: StrainGaugeState, stream: Stream, dt: float
 ) -> tuple[Floats, StrainGaugeState]:
-    """Read wrenches (n, 6), dt apart, with a sensor: counts, shape (n, k), and the sensor after them.
+    """Read wrenches (n, 6) at intervals of ``dt`` s; return the counts (n, k) and the sensor's last state.
 
-    The library reads them where there is one, in a tenth of the time.
+    The library in C is used where it is installed: it takes a tenth of the time.
     """
     native = native_here(STRAIN_GAUGES, config)
     if native is not None:
@@ -110,7 +116,7 @@ def read_sequence(
 
 
 def read_imu(recordings: Sequence[RigRecording], seed: int, config: Imu = XSENS_MTX) -> Floats:
-    """Read force and angular velocity with a seed's IMU, shape (J, n, 6)."""
+    """Read specific force and angular velocity with the IMU of a seed, shape (J, n, 6)."""
     device, rng = imu(config), np.random.default_rng([_STREAM, 4, seed])
     first = device.init((6,), np.random.default_rng([_STREAM, 5, seed]))
     found = []
@@ -126,7 +132,7 @@ def read_imu(recordings: Sequence[RigRecording], seed: int, config: Imu = XSENS_
 def static_sets(
     sensor: str, recordings: Sequence[RigRecording], counts: Floats, specific_force: Floats
 ) -> tuple[InSituSet, ...]:
-    """Return sets of a limb at rest: counts (J, n, 6), specific force without bias (J, n, 3)."""
+    """Return sets of a limb at rest, from counts (J, n, 6) and specific force without bias (J, n, 3)."""
     parts = zip(recordings, counts, specific_force, strict=True)
     return tuple(_set(sensor, recording, raw, -force) for recording, raw, force in parts)
 
@@ -139,9 +145,9 @@ def moving_sets(
     bias: Floats,
     window: int = 15,
 ) -> tuple[InSituSet, ...]:
-    """Return sets of a limb in motion, of an IMU's readings (J, n, 6) and bias in m/s^2, at the sensor.
+    """Return sets of a moving limb at the sensor, from readings of an IMU (J, n, 6) and its bias in m/s^2.
 
-    The angular acceleration is taken over a window of samples, an odd number.
+    The angular acceleration is the slope over a window of samples, an odd number.
     """
     found = []
     for recording, raw, read in zip(recordings, counts, readings, strict=True):
@@ -159,5 +165,5 @@ def _set(sensor: str, recording: RigRecording, raw: Floats, gravity: Floats, **m
 
 
 def accelerometer_bias(specific_force: Floats) -> Floats:
-    """Calibrate the accelerometer's bias from readings of any shape (..., 3), as a robot would."""
+    """Return the bias of an accelerometer, calibrated from its readings (..., 3) as a robot would do it."""
     return calibrate_accelerometer(specific_force.reshape(-1, 3), model="bias").bias
