@@ -35,11 +35,12 @@ RESULTS = Path("out/results")
 Rows = Mapping[str, Any]  # rows, or a data frame, by the name of a table
 
 
-def options(doc: str | None, name: str, seeds: int) -> argparse.ArgumentParser:
-    """Return a parser with the options of all studies: seeds, processes and the folder of results."""
+def options(doc: str | None, name: str, seeds: int = 0) -> argparse.ArgumentParser:
+    """Return a parser with the options of all studies; without a number of seeds there is no ``--seeds``."""
     layout = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=doc, formatter_class=layout)
-    parser.add_argument("--seeds", type=int, default=seeds, help=f"{seeds} by default")
+    if seeds:
+        parser.add_argument("--seeds", type=int, default=seeds, help=f"{seeds} by default")
     parser.add_argument("--jobs", type=int, default=1, help="processes that work at the same time")
     parser.add_argument("--out", type=Path, default=RESULTS / name, help="folder of results")
     parser.add_argument("--quick", action="store_true", help="a small configuration, to see whether it runs")

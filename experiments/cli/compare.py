@@ -55,24 +55,6 @@ def robots(
     show(report.tables, {"report": report.page}, as_json=as_json)
 
 
-@app.command()
-def weights(
-    seed: Annotated[int, Option(help="Of everything random.")] = 0,
-    out: Annotated[Path | None, Option(help="Folder for the tables as CSV.")] = None,
-    as_json: Json = False,
-) -> None:
-    """Compare simulated load cells before and after known weights, as the CoP paper's Tables 2 and 3."""
-    from surefoot.experiments.study.page import save_tables
-    from surefoot.experiments.weights.paper import weight_tables
-    from surefoot.experiments.weights.weighing import weigh_after_walk
-
-    with one_line_errors(out):
-        tables = weight_tables(weigh_after_walk(seed))
-        if out is not None:
-            save_tables(out, tables)
-    show(tables, {} if out is None else {"tables": out}, as_json=as_json)
-
-
 def demo(
     out: Out = Path("out/demo"),
     seeds: Annotated[int, Option(help="Walks, of which up to four are walked in closed loops.", min=1)] = 8,

@@ -29,7 +29,13 @@ from surefoot.experiments.study.tables import (
 )
 from surefoot.experiments.walks.scenarios import TRUE_MAP, Scenario
 from surefoot.experiments.walks.score import rms
-from surefoot.experiments.weights.weighing import MethodErrors
+
+
+class MethodErrors(NamedTuple):
+    """Root-mean-square errors of the centre of pressure in m and of the vertical force in N."""
+
+    cop: float
+    vgrf: float
 
 
 class Metric(NamedTuple):

@@ -387,14 +387,6 @@ def test_options_that_no_log_has_are_refused(log: Log, path: Path, tmp_path: Pat
     assert "no cell of 1 N bears them" in run("twin", tmp_path / "rig.csv", "--capacity", 1, code=2).stderr
 
 
-def test_studies_say_where_they_cannot_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surefoot.experiments.weights.weighing.weigh_after_walk", lambda seed: None)
-    monkeypatch.setattr("surefoot.experiments.weights.paper.weight_tables", lambda report: ())
-    (tmp_path / "file").write_text("")
-    result = run("compare", "weights", "--out", tmp_path / "file" / "tables", code=2)
-    assert result.stderr.startswith(f"surefoot: cannot write to '{tmp_path / 'file' / 'tables'}': Not a dir")
-
-
 def test_sessions_of_a_restarted_logger_never_interleave(tmp_path: Path) -> None:
     def restart(table: pd.DataFrame, told: Any) -> pd.DataFrame:
         again = table.assign(time_s=table["time_s"] + 0.0037)

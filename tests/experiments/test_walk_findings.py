@@ -9,7 +9,6 @@ from surefoot.experiments.walks import findings, tables
 from surefoot.experiments.walks.findings import claims_of, scenario_findings
 from surefoot.experiments.walks.scenarios import SCENARIOS
 from surefoot.experiments.walks.tables import alarm_table, scenario_table
-from surefoot.experiments.weights.paper import paper_table_2
 
 SEEDS = range(5)
 
@@ -81,11 +80,6 @@ def test_what_comes_first_is_counted() -> None:
     assert window[3].good
     assert rows["moment"][3] == rows["true CoP"][3] == ""
     assert not isinstance(rows["raw (none)"][1], Verdict)
-
-
-def test_the_papers_table_2_comes_out() -> None:
-    _, difference = paper_table_2()
-    assert difference < 1e-8
 
 
 PLAIN, SOFT = SCENARIOS["speed-0.04"], SCENARIOS["soft-ground"]

@@ -122,7 +122,6 @@ def test_the_command(tmp_path: Path) -> None:
     assert "There is no scenario 'moon'. Available: speed-0.02" in answer.output
     answer = run_command("compare", "walking", "--method", "magic", "--out", tmp_path, code=2)
     assert "Method 'magic' does not exist." in answer.output
-    assert "Table 3" in run_command("compare", "weights").stdout
 
 
 def test_options_refuse_what_cannot_be_done() -> None:
