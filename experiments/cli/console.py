@@ -26,12 +26,6 @@ INTERRUPTED = 130  # as shells say of a process that Ctrl-C ended
 Names = list[str] | None
 Numbers = list[float] | None
 Paths = list[Path] | None
-Feeds = Annotated[
-    Names,
-    Option(
-        help="true, none (raw), weights, tare, quasi-static, window, moment, or module:name; again for more."
-    ),
-]
 Out = Annotated[Path, Option(help="Folder for everything that is made.")]
 Json = Annotated[bool, Option("--json", help="Print tables and paths as JSON, and nothing else.")]
 Jobs = Annotated[int, Option(help="Processes that work at the same time.", min=1)]

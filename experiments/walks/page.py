@@ -215,7 +215,6 @@ def _commands(results: WalkStudyResults) -> tuple[str, ...]:
     severity = max(options.loops)
     return (
         f"surefoot calibrate walk {log} --method window --settle {options.settle:g}",
-        f"surefoot view --feed none --severity {severity:g} --speed {speed:g} --seed {seed} "
-        f"--duration {options.loop_duration:g} --video walk.mp4",
+        f"surefoot view --feed none --severity {severity:g} --speed {speed:g} --seed {seed}",
         f"surefoot compare walking --full --seeds 10 --jobs {options.jobs}",
     )

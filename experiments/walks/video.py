@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageColor, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
 from surefoot.arrays import Floats
 from surefoot.experiments.evaluate.episode import EpisodeStep, Stage
@@ -107,29 +107,6 @@ def join_reels(folder: Path, *reels: Reel) -> None:
 def film_walks(path: Path, feeds: Sequence[str], **walk: Any) -> Path:
     """Record the same walk with one or more feeds side by side. ``walk`` contains fields of :class:`Walk`."""
     return write_film(path, _side_by_side([shoot_walk(Walk(feed, **walk)) for feed in feeds]))
-
-
-def watch_walk(feed: str, **walk: Any) -> None:
-    """Show a walk in a window.
-
-    Dots on the ground are the true CoP (black) and the CoP fed to the controller (in the colour of the feed).
-
-    Args:
-        feed: Feed of the controller.
-        walk: Fields of :class:`Walk`.
-
-    Raises:
-        OSError: If there is no screen.
-    """
-    if sys.platform == "linux" and not _has_screen():
-        raise OSError("there is no screen for a window; film the walk with --video walk.mp4.")
-    colour = np.array(ImageColor.getrgb(look_of(feed).colour)) / 255.0
-    for step in Walk(feed, **walk).steps(render_mode="human"):
-        dots = ((step.true_cop_world, np.zeros(3), 0.008), (step.fed_cop_world, colour, 0.010))
-        bare: Any = step.feet.unwrapped
-        bare.markers = [
-            ((*place, 0.004), (*rgb, 1.0), radius) for place, rgb, radius in dots if np.isfinite(place).all()
-        ]
 
 
 def film_stage(path: Path, stage: Stage, feed: str, seed: int, title: str) -> Path:

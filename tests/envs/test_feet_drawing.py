@@ -65,4 +65,4 @@ def test_what_cannot_be_shown_is_told_in_one_line(arguments: list[str], text: st
 def test_feet_are_named_of_a_robot_alone() -> None:
     result = CliRunner().invoke(app, ["view", "--soles"])
     assert result.exit_code == 2
-    assert "go with --feet ENV" in result.output
+    assert "need --feet ENV" in result.output
