@@ -1,10 +1,8 @@
-"""Real plates, a board and an iCub: calibrators with errors put in by hand, and the twins of the instruments.
+"""Calibrators on recordings of a real plate and a balance board, with errors that are added to the readings.
 
-    SUREFOOT_DATA=/path/to/recordings python benchmarks/real_recordings.py methods --seeds 10
-    SUREFOOT_DATA=/path/to/recordings python benchmarks/real_recordings.py twins        # about a minute
-    python docs/study_tables.py out/results
+    SUREFOOT_DATA=/path/to/recordings python benchmarks/real_recordings.py --seeds 10
 
-**Methods.** A board or a plate is one foot on four cells. Gains and offsets are put onto the recorded cells,
+A board or a plate is one foot on four cells. Gains and offsets are put onto the recorded cells,
 and the calibrators are told
 
 * the person's weight as a constant, or for the rocked pole the plate's own summed force as its motion,
@@ -14,24 +12,17 @@ and the calibrators are told
 Scored is as the walks of ``surefoot compare walking`` are, against the record itself, for truth that no
 record knows better: a plate's own errors are in both.
 
-**Twins.** What ``surefoot twin`` reads off the recordings, as tables that their owners would write
-(docs/log-recipes.md), beside the data sheets: Kistler 9281C and 9286A (threshold below 0.25 N, drift below
-0.01 N/s, up to 10 kN, here in 16 bits); the maker's manual of the balance board (60 values a second).
-
 ``$SUREFOOT_DATA`` has to hold ``foot/wii_board_18min.npz``, ``caltester_FP1_600hz.npz`` (made from public
 recordings of a balance board, corkine/BalanceBoardDataAnalysis, and of a force plate, sample 15 of c3d.org),
-for twins ``kistler2_600hz.npz``, ``icub_com-sinusoid.npz`` and ``ft/icub_right_foot_swing.npz`` as well; they
-are not part of this package.
+which are not part of this package.
 """
 
 import argparse
-import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -42,17 +33,12 @@ from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, METHODS, FeetLayout, FootLayout, Parameters, Reference, zero_phase
 from surefoot.calibration.contacts import reference_of_contacts
 from surefoot.calibration.cop import cop_of_cells
-from surefoot.calibration.results import CalibrationRefused
-from surefoot.experiments.instrument.recording import read_recording
-from surefoot.experiments.instrument.twin import Twin, identify
 from surefoot.experiments.logs.format import Log, LogTruth
-from surefoot.experiments.study.page import save_tables
-from surefoot.experiments.study.tables import NOTHING, Frame, Table, Verdict, number, span, with_interval
+from surefoot.experiments.study.tables import Frame, Table, with_interval
 from surefoot.experiments.walks.play import Stream, play
 from surefoot.experiments.walks.run_score import score_run
 from surefoot.experiments.walks.scenarios import TRUE_MAP
 from surefoot.experiments.walks.score import hold_last
-from surefoot.files import write_text
 
 RATE = 80.0  # samples per second that all recordings are brought to: the rate of the CoP paper's cells
 SCALE_STD, OFFSET_SHARE = 0.1, 0.03
@@ -246,171 +232,17 @@ def score_table(folder: Path, name: str, seeds: int) -> Table:
     return Table(f"recording_{name}", f"Recording '{name}': means and 95 % intervals", columns, tuple(rows))
 
 
-Foot = Mapping[str, Any]
-
-TESTS = "twin against log"
-DRIFT_OVER = 40.0  # s over which a drift of a data sheet is compared with a random walk
-
-
-class Written(NamedTuple):
-    """A recording as a table and a description."""
-
-    columns: dict[str, Floats]
-    feet: list[Foot] | None  # of the description; ``None`` for none
-    mass: float = 1.0
-    scale: float = 1.0  # N of one in its unit
-    offset: float | None = None
-
-
-def write_plate(folder: Path, session: str, name: str, mass: float, last: int | None = None) -> Written:
-    """Write a Kistler plate's four cells in N, up to a last row."""
-    cells, rate, place = read_plate(folder, session, name)
-    return _cells(cells[:last], np.arange(len(cells[:last])) / rate, place, mass)
-
-
-def write_board(folder: Path) -> Written:
-    """Write the balance board's cells in kg, without rows whose time is not later than the one before."""
-    time, cells, place = read_board(folder)
-    later = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
-    return _cells(np.round(cells[later], 4), time[later], place, 46.24)._replace(scale=9.81, offset=None)
-
-
-def icub(folder: Path) -> Written:
-    """Return the vertical forces under an iCub that sways."""
-    with np.load(folder / "foot" / "icub_com-sinusoid.npz") as file:
-        time, force = file["t_s"], {side: file[f"{side}_fz_N"] for side in ("left", "right")}
-    up = [[0.0], [0.0], [1.0], [0.0], [0.0], [0.0]]
-    feet: list[Foot] = [{"name": side, "channel_names": ["fz"], "wrench_map": up} for side in force]
-    columns = {f"raw_{side}_fz_count": values for side, values in force.items()}
-    return Written({"time_s": time, **columns}, feet, 33.0, offset=0.0)
-
-
-def ankle(folder: Path) -> Written:
-    """Return the counts of an iCub's six-axis sensor, with gravity."""
-    with np.load(folder / "ft" / "icub_right_foot_swing.npz") as file:
-        time, raw, gravity = file["t"], file["raw"], file["gravity"]
-    columns = {f"raw_{i}_count": values for i, values in enumerate(raw.T)}
-    down = {f"gravity_{axis}_m_s2": values for axis, values in zip("xyz", gravity.T, strict=True)}
-    return Written({"time_s": time, **columns, **down}, None)
-
-
-def _cells(cells: Floats, time: Floats, place: Floats, mass: float) -> Written:
-    names = [f"fz{i + 1}" for i in range(cells.shape[1])]
-    foot = {"name": "plate", "channel_names": names, "position_cell_sole_m": place.tolist()}
-    columns = {f"raw_plate_{name}_count": values for name, values in zip(names, cells.T, strict=True)}
-    return Written({"time_s": time, **columns}, [foot], mass, offset=0.0)
-
-
-class Sheet(NamedTuple):
-    """What a data sheet says of a parameter: words, and the interval that it means."""
-
-    words: str = NOTHING
-    low: float = 0.0
-    high: float = np.inf
-    why: str = ""  # it does not fit, where it does not
-
-
-PLATE = {
-    "step of a reading": Sheet("0.15 N (10 kN in 16 bits)", 0.14, 0.17),
-    "noise of a conversion": Sheet(
-        "threshold 0.25 N", 0.0, 0.25, "the recorder's own noise, of two of its steps, is larger"
-    ),
-    "random walk of the offset": Sheet(
-        "drift 0.01 N/s, 0.4 N in 40 s",
-        0.0,
-        0.01 * np.sqrt(DRIFT_OVER),
-        "the plate relaxes by newtons, its corners against each other, for 40 s after somebody left it",
-    ),
-}
-BOARD = {
-    "step of a reading": Sheet(),
-    "noise of a conversion": Sheet(),
-    "random walk of the offset": Sheet(),
-    TESTS: Sheet(why="who stands on it sways by more than its noise"),
-    "conversion rate": Sheet("60 1/s", 59.0, 61.0, "rows come in bursts by radio, whose times show no clock"),
-}
-
-INSTRUMENTS: Mapping[str, tuple[Callable[[Path], Written], Mapping[str, Sheet]]] = {
-    "force plate 1": (lambda folder: write_plate(folder, "kistler2", "plate0", 72.0, -20), PLATE),
-    "force plate 2": (lambda folder: write_plate(folder, "kistler2", "plate1", 72.0, -20), PLATE),
-    "balance board": (write_board, BOARD),
-    "force plate with a rocked pole": (
-        lambda folder: write_plate(folder, "caltester_FP1", "plate0", 28.0),
-        {},
-    ),
-    "iCub's feet, swaying": (icub, {}),
-    "iCub's six-axis sensor": (ankle, {}),
-}
-"""How each recording is read, and its data sheet."""
-
-
-def write(written: Written, path: Path) -> Path:
-    """Write a recording as a CSV, with its description beside it."""
-    table = np.column_stack(list(written.columns.values()))
-    np.savetxt(path, table, delimiter=",", comments="", header=",".join(written.columns), fmt="%.9g")
-    if written.feet is not None:
-        channels = sum(len(foot["channel_names"]) for foot in written.feet)
-        nominal = {"scale_N_per_count": [written.scale] * channels}
-        nominal |= {} if written.offset is None else {"offset_N": [written.offset] * channels}
-        told = {"format": "surefoot-log", "format_version": 1, "mass_kg": written.mass, "lag_samples": 0}
-        write_text(path.with_suffix(".json"), json.dumps(told | {"layout": written.feet, "nominal": nominal}))
-    return path
-
-
-def find_twin(folder: Path, name: str) -> Twin:
-    """Find the twin of one of :data:`INSTRUMENTS`; CalibrationRefused if it has none."""
-    with TemporaryDirectory() as kept:
-        return identify(read_recording(write(INSTRUMENTS[name][0](folder), Path(kept) / "recording.csv")))
-
-
-def rows_of(folder: Path, name: str) -> Iterator[tuple[str, ...]]:
-    """Yield a row for each parameter of a recording's twin, or one for its refusal."""
-    sheet = INSTRUMENTS[name][1]
-    try:
-        twin = find_twin(folder, name)
-    except CalibrationRefused as refusal:
-        yield (name, "refused", NOTHING, NOTHING, NOTHING, refusal.reason.partition(": ")[2])
-        return
-    seen = {one.name: one for one in twin.parameters}
-    for what, said in sheet.items():
-        if what == TESTS:
-            continue
-        if what not in seen:
-            yield (name, what, NOTHING, said.words, "not seen", said.why)
-            continue
-        value, unit = seen[what].value, seen[what].unit
-        fits = value.low <= said.high and value.high >= said.low
-        text = f"{number(value.value)} ({span(value.low, value.high, '.3g')}) {unit}"
-        verdict = NOTHING if said.words == NOTHING else Verdict.of(fits)
-        yield (name, what, text, said.words, verdict, "" if fits else said.why)
-    alike = ", ".join(f"{test.partition(':')[0]} {number(p, 2)}" for test, p in twin.likeness)
-    why = "" if twin.alike or TESTS not in sheet else sheet[TESTS].why
-    yield (name, TESTS, alike, NOTHING, Verdict.of(twin.alike, "alike" if twin.alike else "no"), why)
-
-
-def recordings_table(folder: Path) -> Table:
-    """Compare twins of all recordings with their data sheets."""
-    rows = tuple(row for name in INSTRUMENTS for row in rows_of(folder, name))
-    columns = ("recording", "what", "twin (90 %)", "data sheet", "fits", "why not")
-    return Table("recordings", "Real instruments", columns, rows)
-
-
 def main() -> None:
-    """Print the tables, and save those of the page."""
+    """Print the tables."""
     layout = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
-    parser.add_argument("study", choices=["methods", "twins"])
     parser.add_argument("--seeds", type=int, default=10, help="draws of the errors")
     given = parser.parse_args()
     folder = Path(os.environ.get("SUREFOOT_DATA", "nowhere"))
     if not (folder / "foot").is_dir():
         sys.exit("SUREFOOT_DATA names no folder that holds 'foot' with the recordings.")
-    tables = [score_table(folder, name, given.seeds) for name in RECORDINGS if given.study == "methods"]
-    if given.study == "twins":
-        tables = [recordings_table(folder)]
-        save_tables(Path("out/results/twin/tables"), tables)
-    for table in tables:
-        Console(width=180).print(table.to_rich())
+    for name in RECORDINGS:
+        Console(width=180).print(score_table(folder, name, given.seeds).to_rich())
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from dataclasses import replace
 from math import radians
 from typing import Any, Final, TypeVar
 
+from surefoot.files import read_toml
 from surefoot.names import check_new_name, plain_name
 from surefoot.sensors.configuration import from_mapping
 from surefoot.sensors.devices.encoders import Encoders
@@ -233,28 +234,52 @@ def register_preset(name: str, config: Any, *, replace: bool = False) -> None:
 
 
 def preset(name: str, kind: type[Config] = LoadCells) -> Config:  # type: ignore[assignment]
-    """Look a device up by its name.
+    """Look up a device by its name, or read it from a file.
 
     Args:
-        name: Such as ``"hx711-load-cells"``, or ``"module:name"`` for one of yours.
+        name: Such as ``"hx711-load-cells"``, ``"module:name"`` for one of yours, or the path of a file as
+            :func:`read_preset` reads it.
         kind: The class of the configuration: :class:`LoadCells`, :class:`ForceTorque`,
             :class:`StrainGauges`, :class:`Imu`, :class:`Encoders` or :class:`Link`.
 
     Raises:
-        ValueError: If there is none of that name, the message lists them; or if its module cannot
-            be imported.
+        ValueError: If the name is unknown (the message lists the known ones), its module cannot be imported,
+            or the file is not a preset of this class.
 
     >>> preset("hx711-load-cells").adc_bits
     24
     """
+    if name.endswith(PRESET_FILE):
+        config = read_preset(name)
+        if not isinstance(config, kind):
+            raise ValueError(f"{name}: is a preset of {type(config).__name__}, not of {kind.__name__}.")
+        return config
     name, found = plain_name(name), PRESETS[kind]
     if name not in found:
         raise ValueError(f"There is no {kind.__name__} preset '{name}'; there are {sorted(found)}.")
     return found[name]  # type: ignore[no-any-return]
 
 
+PRESET_FILE = ".toml"  # end of the name of a preset that is a file
+
+
+def read_preset(path: str) -> Any:
+    """Read a preset from a TOML file: one table, which has the name of the class and some of its fields.
+
+    ``surefoot check LOG --preset FILE.toml`` writes such a file. Raises ValueError if the file does not exist
+    or is not a preset.
+    """
+    tables, kinds = read_toml(path), {kind.__name__: kind for kind in PRESETS}
+    if len(tables) != 1 or not set(tables) <= set(kinds):
+        raise ValueError(f"{path}: must contain one table out of {list(kinds)}, got {list(tables)}.")
+    ((name, values),) = tables.items()
+    return from_mapping(kinds[name], values)
+
+
 def resolve(config: str | Mapping[str, Any] | Config, kind: type[Config], name: str = "config") -> Config:
-    """Make a configuration of a preset's name, a mapping or a configuration; messages name the argument.
+    """Make a configuration of a preset's name or file, a mapping or a configuration.
+
+    Messages name the argument.
 
     Raises:
         ValueError: If the name or a key of the mapping is unknown, or a value is refused.

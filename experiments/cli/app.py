@@ -14,7 +14,7 @@ from surefoot.experiments.cli import calibrate, compare, controllers, view
 from surefoot.experiments.cli.console import INTERRUPTED
 from surefoot.names import page
 
-ORDER = ["demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate"]
+ORDER = ["demo", "view", "compare", "check", "calibrate", "train", "evaluate"]
 
 
 class _InOrder(TyperGroup):
@@ -46,8 +46,7 @@ app = typer.Typer(
 )
 app.add_typer(compare.app, name="compare")
 app.add_typer(calibrate.app, name="calibrate")
-for look in (calibrate.check, calibrate.twin):
-    app.command(epilog=f"Kinds of logs: {page('check')}")(look)
+app.command(epilog=f"Kinds of logs: {page('check')}")(calibrate.check)
 app.command()(compare.demo)
 app.command()(view.view)
 for command in (controllers.train, controllers.evaluate):

@@ -1,4 +1,4 @@
-"""``surefoot calibrate``, ``check`` and ``twin``: from the logs of a robot."""
+"""``surefoot calibrate`` and ``check``: from the logs of a robot."""
 
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -180,49 +180,32 @@ AnyLog = Annotated[Path, Argument(help="A walk, sets of a six-axis sensor, weigh
 Page = Annotated[Path | None, Option(help="Where the page goes; by default beside the log.")]
 
 
-def check(log: AnyLog, out: Page = None, topics: Topics = None, as_json: Json = False) -> None:
-    """Name the flaws of a log, since when, how surely, and the measurement that would settle each."""
-    from surefoot.experiments.instrument.check import check_log, words_of
-    from surefoot.experiments.instrument.page import write_check_page
-    from surefoot.experiments.study.progress import working
-
-    with one_line_errors():
-        checked = check_log(log, topics)
-        path = log.with_suffix(".check.html") if out is None else out
-        with working("drawing the page"):
-            write_check_page(path, checked)
-    facts = {"sound": checked.sound, "kind": checked.recording.kind}
-    tables = checked.tables if as_json else checked.tables[1:]
-    notices, said = checked.recording.notices, words_of(checked)
-    show(tables, {"page": path}, notices=notices, said=said, as_json=as_json, **facts)
-    if not checked.sound:
-        raise typer.Exit(REFUSED)
-
-
-def twin(
+def check(
     log: AnyLog,
-    capacity: Annotated[
-        float | None, Option(help="Rated load of a cell in N; else the largest load.")
+    out: Page = None,
+    preset: Annotated[
+        Path | None, Option(help="Write the noise, drift, resolution and clock as a preset, .toml.")
     ] = None,
-    out: Annotated[Path | None, Option(help="Where the preset goes; by default beside the log.")] = None,
     topics: Topics = None,
     as_json: Json = False,
 ) -> None:
-    """Read the preset of load cells off a recording: noise, drift, clock, hysteresis, creep, delay."""
-    from surefoot.experiments.instrument.page import write_twin_page
-    from surefoot.experiments.instrument.recording import read_recording
-    from surefoot.experiments.instrument.twin import identify, write_preset
+    """Name the flaws of a log, since when, how surely, and the measurement that would settle each."""
+    from surefoot.experiments.instrument.check import check_log, words_of
+    from surefoot.experiments.instrument.page import write_check_page
+    from surefoot.experiments.instrument.preset import write_preset
     from surefoot.experiments.study.progress import working
 
-    if capacity is not None and not 0.0 < capacity < float("inf"):
-        fail(f"--capacity must be positive, in N, got {capacity}.")
-    with one_line_errors(), working("reading the recording") as then:
-        recording = read_recording(log, topics)
-        then("looking for the instrument")
-        found = identify(recording, capacity)
-        then("drawing the page")
-        path = log.with_suffix(".twin.json") if out is None else out
-        files = {"preset": write_preset(path, found)}
-        files["page"] = write_twin_page(path.with_suffix(".html"), found)
-    notices = (*recording.notices, *found.notes)
-    show(found.tables, files, notices=notices, as_json=as_json, alike=found.alike)
+    if preset is not None and preset.suffix != ".toml":
+        fail(f"--preset must end in .toml, got '{preset}'.")
+    with one_line_errors():
+        checked = check_log(log, topics)
+        files = {} if preset is None else {"preset": write_preset(preset, checked.recording, checked.facts)}
+        files["page"] = log.with_suffix(".check.html") if out is None else out
+        with working("drawing the page"):
+            write_check_page(files["page"], checked)
+    facts = {"sound": checked.sound, "kind": checked.recording.kind}
+    tables = checked.tables if as_json else checked.tables[1:]
+    notices, said = checked.recording.notices, words_of(checked)
+    show(tables, files, notices=notices, said=said, as_json=as_json, **facts)
+    if not checked.sound:
+        raise typer.Exit(REFUSED)

@@ -1,4 +1,4 @@
-"""The pages of a checked log, which one sends to a colleague, and of an instrument's twin; their figures."""
+"""The page of a checked log, with its figures, to be sent to a colleague."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.experiments.instrument.check import Checked, channel_table, facts_table, words_of, wrong_table
-from surefoot.experiments.instrument.twin import Twin, likeness_table, parameter_table
 from surefoot.experiments.study.figures import figure_at, grid_of, legend_below, logarithmic, name_axes
 from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
 
@@ -33,23 +32,6 @@ def _sections(folder: Path, checked: Checked) -> Iterator[Section]:
     curves = draw_allan(folder / "allan.svg", checked)
     shown = () if curves is None else (ReportFigure(curves, "Figure 2", _say("channels")),)
     yield Section("channels", "Channels", tables=(channel_table(checked),), figures=(overview, *shown))
-
-
-def write_twin_page(path: Path, twin: Twin) -> Path:
-    """Write the page of an instrument, and return its path."""
-    alike = "No test tells the two apart." if twin.alike else "Tests tell the two apart: see below."
-    return write_log_page(
-        path,
-        f"{twin.recording.file}, its instrument",
-        "by 'surefoot twin'",
-        f"{_say('twin')} {alike}",
-        facts_table(twin.recording),
-        (*twin.recording.notices, *twin.notes),
-        lambda _: (
-            Section("instrument", "The instrument", (_say("parameters"),), tables=(parameter_table(twin),)),
-            Section("likeness", "Twin against log", tables=(likeness_table(twin),)),
-        ),
-    )
 
 
 POINTS = 600  # pieces of a log of which the least and the largest reading are drawn

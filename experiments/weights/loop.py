@@ -15,8 +15,10 @@ import numpy as np
 from scipy.stats import t as student
 
 from surefoot.arrays import Floats
-from surefoot.experiments.instrument.response import loop_of
+from surefoot.sensors.stages.hysteresis import hysteresis
+from surefoot.sensors.stages.mechanics import SMALLEST_LOOP
 
+UNIT = 1e-3  # share of hysteresis for which loops are computed; they are proportional to it
 ALARM = 1e-4  # probability that a cell without hysteresis, or without drift, is said to have some
 WIDER = 2.0 ** np.arange(0.0, 1.0, 0.125)
 """Full scales of loops in largest loads: from 2 on the loops are the same again."""
@@ -85,6 +87,17 @@ def memory_of(load: Floats, force: Floats, rounding: float) -> Memory | None:
     own = float(np.hypot(std[0], mean[0] ** 2))
     drifted = float(np.hypot(std[1], SHAPE * mean[0] * full))
     return Memory(float(mean[0]), own, float(mean[1]), drifted, reach)
+
+
+def loop_of(load: Floats, capacity: Floats) -> Floats:
+    """Return the hysteresis of loads in N, (N, K), per unit of its share, for K capacities in N."""
+    element, rng = hysteresis(UNIT, capacity, smallest=SMALLEST_LOOP), np.random.default_rng(0)
+    turns = np.flatnonzero(np.concatenate([[True], (np.diff(load, axis=0) != 0.0).any(axis=1)]))
+    state, loops = element.init(load.shape[1:], rng), []
+    for row in load[turns]:
+        reading, state = element.apply(row, state, rng, 0.0)
+        loops.append((reading - row) / UNIT)
+    return np.repeat(np.array(loops), np.diff(np.append(turns, len(load))), axis=0)
 
 
 def _drift_alone(time: Floats, force: Floats, free: int, rounding: float) -> Memory | None:

@@ -8,14 +8,14 @@ from typing import Any
 from surefoot.names import plain_name
 from surefoot.sensors import PRESETS, ForceTorque, LoadCells, preset
 from surefoot.sensors.configuration import from_mapping
-from surefoot.sensors.presets import refuse_config, resolve
+from surefoot.sensors.presets import PRESET_FILE, read_preset, refuse_config, resolve
 from surefoot.sensors.transport.link import JITTER_BOUND
 
 FootDevice = LoadCells | ForceTorque  # what can be under a foot
 
 
 def foot_device(config: str | Mapping[str, Any] | FootDevice, name: str = "config") -> FootDevice:
-    """Make a configuration of a preset's name, a mapping or a configuration, of either kind.
+    """Make a configuration of a preset's name or file, a mapping or a configuration, of either kind.
 
     A mapping is of load cells, or of six-axis sensors if only those have all of its keys. Messages call the
     argument by its name.
@@ -28,6 +28,11 @@ def foot_device(config: str | Mapping[str, Any] | FootDevice, name: str = "confi
         return config
     if not isinstance(config, str | Mapping):
         raise refuse_config(config, name, "LoadCells or ForceTorque")
+    if isinstance(config, str) and config.endswith(PRESET_FILE):
+        device = read_preset(config)
+        if not isinstance(device, FootDevice):
+            raise ValueError(f"{config}: is a preset of {type(device).__name__}, not of sensors of feet.")
+        return device
     if isinstance(config, str) and plain_name(config) not in PRESETS[LoadCells]:
         if plain_name(config) in PRESETS[ForceTorque]:
             return preset(config, ForceTorque)

@@ -27,7 +27,7 @@ from surefoot.experiments.study import progress
 from surefoot.experiments.study.tables import Table, decimal, number
 from surefoot.names import page
 
-COMMANDS = ("demo", "view", "compare", "check", "twin", "calibrate", "train", "evaluate")
+COMMANDS = ("demo", "view", "compare", "check", "calibrate", "train", "evaluate")
 
 
 def test_version_and_help() -> None:

@@ -15,7 +15,6 @@ from surefoot.calibration import CalibrationRefused
 from surefoot.experiments.instrument.channels import Wrong
 from surefoot.experiments.instrument.check import check_log, wrong_table
 from surefoot.experiments.instrument.recording import read_recording
-from surefoot.experiments.instrument.twin import identify
 from surefoot.experiments.logs.clock import unit_of_times
 from surefoot.experiments.logs.format import Log, read_log, write_log
 from surefoot.experiments.logs.table import LogError
@@ -363,12 +362,6 @@ def test_check_and_calibrate_refuse_the_same_weighings(loads: Any, reason: str, 
     assert str(refused.value).startswith(f"scales.csv: {reason}")
 
 
-def test_a_twin_needs_channels_that_follow_their_loads(tmp_path: Path) -> None:
-    channels(load_N=np.repeat([0.0, 10.0, 20.0, 10.0], ROWS // 4)).to_csv(tmp_path / "rig.csv", index=False)
-    with pytest.raises(CalibrationRefused, match=r"rig\.csv: column 'raw_a_count' does not follow its load"):
-        identify(read_recording(tmp_path / "rig.csv"))
-
-
 def test_options_that_no_log_has_are_refused(log: Log, path: Path, tmp_path: Path) -> None:
     for options, message in (
         (
@@ -383,8 +376,6 @@ def test_options_that_no_log_has_are_refused(log: Log, path: Path, tmp_path: Pat
         (["--out", path], f"'{path}': File exists."),
     ):
         assert run("calibrate", "walk", path, *options, code=2).stderr.startswith(f"surefoot: {message}")
-    channels(load_N=np.repeat([0.0, 10.0, 20.0, 10.0], ROWS // 4)).to_csv(tmp_path / "rig.csv", index=False)
-    assert "no cell of 1 N bears them" in run("twin", tmp_path / "rig.csv", "--capacity", 1, code=2).stderr
 
 
 def test_sessions_of_a_restarted_logger_never_interleave(tmp_path: Path) -> None:

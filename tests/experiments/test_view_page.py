@@ -16,7 +16,8 @@ import pandas as pd
 import pytest
 from _logs import fails, redescribe
 
-from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
+from surefoot.experiments.logs.format import Log, read_log, write_log
+from surefoot.experiments.logs.table import LogError
 from surefoot.experiments.view.rows import LogFeet, RowSocket, StreamFeet
 from surefoot.experiments.view.session import Session
 from surefoot.experiments.view.shown import WAYS
@@ -162,9 +163,15 @@ def test_one_plate_is_shown_as_a_log_and_as_a_stream(tmp_path: Path) -> None:
     table = pd.DataFrame(counts, columns=[f"raw_plate_{cell}_count" for cell in "abc"])
     table.insert(0, "time_s", time)
     table.to_csv(tmp_path / "plate.csv", index=False)
-    places = {"name": "plate", "channel_names": ["a", "b", "c"]}
+    places: dict[str, Any] = {"name": "plate", "channel_names": ["a", "b", "c"]}
     places |= {"position_cell_sole_m": [[0.2, 0.1], [0.2, -0.1], [-0.2, 0.0]]}
-    facts = {"format": "surefoot-log", "format_version": 1, "lag_samples": 0, "mass_kg": 51.0, "dt_s": 0.01}
+    facts: dict[str, Any] = {
+        "format": "surefoot-log",
+        "format_version": 1,
+        "lag_samples": 0,
+        "mass_kg": 51.0,
+        "dt_s": 0.01,
+    }
     facts |= {"layout": [places], "nominal": {"scale_N_per_count": [1e-3] * 3, "offset_N": [-20.0] * 3}}
     (tmp_path / "plate.json").write_text(json.dumps(facts))
     played = LogFeet(read_log(tmp_path / "plate.csv", feet_alone=True), "tare")

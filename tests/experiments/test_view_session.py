@@ -70,7 +70,8 @@ def test_temperature_changes_the_readings_and_back() -> None:
     before, after = (run(session, 10).readings["raw"].force for session in (usual, warm))
     assert np.abs(after - before).max() > 0.1
     warm.change("temperature", 0.0)
-    np.testing.assert_array_equal(*(run(session, 5).readings["raw"].force for session in (usual, warm)))
+    before, after = (run(session, 5).readings["raw"].force for session in (usual, warm))
+    np.testing.assert_array_equal(before, after)
 
 
 def test_faults_are_flagged_until_they_are_repaired() -> None:
@@ -84,7 +85,7 @@ def test_faults_are_flagged_until_they_are_repaired() -> None:
     assert not np.delete(flags, [1, 6]).any()
     assert session.errors.faults == ("left/2 dies", "right/rear-left sticks")
     session.change("repair")
-    assert session.errors.faults == ()
+    assert not session.errors.faults
 
 
 def test_what_is_done_to_the_robot() -> None:
