@@ -7,9 +7,7 @@ import numpy as np
 
 from surefoot.experiments.instrument.check import Checked, channel_table, facts_table, words_of, wrong_table
 from surefoot.experiments.study.figures import figure_at, grid_of, legend_below, logarithmic, name_axes
-from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
-
-_say = Words("instrument")
+from surefoot.experiments.study.page import ReportFigure, Section, write_log_page
 
 
 def write_check_page(path: Path, checked: Checked) -> Path:
@@ -28,10 +26,16 @@ def write_check_page(path: Path, checked: Checked) -> Path:
 
 
 def _sections(folder: Path, checked: Checked) -> Iterator[Section]:
-    overview = ReportFigure(draw_channels(folder / "channels.png", checked), "Figure 1", _say("overview"))
+    drawn = draw_channels(folder / "channels.png", checked)
+    figures = [ReportFigure(drawn, "Figure 1", "Range of every channel over the whole log.")]
     curves = draw_allan(folder / "allan.svg", checked)
-    shown = () if curves is None else (ReportFigure(curves, "Figure 2", _say("channels")),)
-    yield Section("channels", "Channels", tables=(channel_table(checked),), figures=(overview, *shown))
+    if curves is not None:
+        caption = (
+            "Allan deviation of each channel at rest. White noise falls with the square root of time, a "
+            "random walk rises with it. The lowest point is the error that a tare can reach."
+        )
+        figures.append(ReportFigure(curves, "Figure 2", caption))
+    yield Section("channels", "Channels", tables=(channel_table(checked),), figures=tuple(figures))
 
 
 POINTS = 600  # pieces of a log of which the least and the largest reading are drawn

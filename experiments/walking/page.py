@@ -20,13 +20,13 @@ from surefoot.experiments.study.figures import (
     look_of,
     name_axes,
 )
-from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
+from surefoot.experiments.study.page import ReportFigure, Section, write_log_page
 from surefoot.experiments.walking import tables
 from surefoot.experiments.walking.agreement import ground_of_forces, ground_of_motion
 from surefoot.experiments.walking.tables import Facts
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#999933")
-_ASKED = look_of("reference")._replace(label="what the motion asks for", line="-")
+_ASKED = look_of("reference")._replace(label="required by the motion", line="-")
 
 _LONG = 2000  # points from which a line is an image within the SVG, which would grow with it
 _COLUMNS = 2000  # columns of a figure in which a line is drawn from its least to its greatest value
@@ -163,18 +163,15 @@ def _extremes(time: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats, 
     return time[starts], np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
 
 
-_say, _caption = Words("walking"), Words("walking", "captions")
-
-
 def write_walking_page(path: Path, facts: tables.Facts) -> Path:
     """Write the page of a calibrated log, with its figures inside, and return its path."""
-    known = "contacts" if facts.feet_alone else "what the robot knows of its own motion"
+    known = "contacts" if facts.feet_alone else "the robot's estimate of its motion"
     return write_log_page(
         path,
         f"{facts.file}, calibrated",
         f"by the method {facts.method!r}",
-        f"Raw readings and {known} went in; calibrated forces, centres of pressure and parameters came out, "
-        "sample by sample, as they would have come on the way.",
+        f"The inputs are raw readings and {known}. The outputs are calibrated forces, centres of pressure "
+        "and parameters, sample by sample, as an online calibration computes them.",
         tables.log_table(facts),
         facts.notices,
         lambda folder: _sections(folder, facts),
@@ -182,22 +179,44 @@ def write_walking_page(path: Path, facts: tables.Facts) -> Path:
 
 
 def _sections(folder: Path, facts: tables.Facts) -> Iterator[Section]:
-    def figure(number: int, path: Path, more: str = "") -> ReportFigure:
-        return ReportFigure(path, f"Figure {number}", _caption(f"{number}") + more)
-
     if not facts.feet_alone:
-        cop = figure(1, cop_against_motion(folder / "cop.svg", facts))
+        cop = ReportFigure(
+            cop_against_motion(folder / "cop.svg", facts),
+            "Figure 1",
+            "Centre of pressure of all feet, relative to the middle between the soles, and its distance from "
+            "the one that the motion requires.",
+        )
+        text = (
+            "Mass, joints and IMU determine the forces of the ground. A calibration brings the feet nearer "
+            "to them. The remaining differences are errors of both. If the robot's mass or centre of mass is "
+            "wrong, the feet agree with a wrong motion: weigh the robot, and check the model."
+        )
         table, title = tables.agreement_table(facts), "Agreement with the robot's own motion"
-        yield Section("agreement", title, (_say("agreement"),), tables=(table,), figures=(cop,))
+        yield Section("agreement", title, (text,), tables=(table,), figures=(cop,))
     if facts.log.truth is not None:
         yield Section("truth", "Errors against the truth", tables=(tables.score_table(facts),))
-    feet = figure(2, force_of_feet(folder / "feet.svg", facts))
-    cells = figure(3, cells_over_time(folder / "cells.svg", facts))
+    feet = ReportFigure(
+        force_of_feet(folder / "feet.svg", facts), "Figure 2", "Vertical force of all feet and of each foot."
+    )
+    cells = ReportFigure(
+        cells_over_time(folder / "cells.svg", facts),
+        "Figure 3",
+        "Every channel by the starting map, and calibrated.",
+    )
     yield Section("forces", "Forces", figures=(feet, cells))
-    known = facts.estimate.covariance is not None
-    bands = ", with bands of ± one standard deviation." if known else "; the method claims no uncertainty."
-    drawn = figure(4, parameters_over_time(folder / "parameters.svg", facts), bands)
+    if facts.estimate.covariance is None:
+        caption = (
+            "Scale and offset of every channel, relative to the starting map. The method has no covariance."
+        )
+    else:
+        caption = (
+            "Scale and offset of every channel, relative to the starting map, with bands of ± one standard "
+            "deviation."
+        )
+    drawn = ReportFigure(parameters_over_time(folder / "parameters.svg", facts), "Figure 4", caption)
     yield Section("parameters", "Parameters", tables=(tables.parameter_table(facts),), figures=(drawn,))
     flags = flags_over_time(folder / "flags.svg", facts)
-    shown = () if flags is None else (figure(5, flags),)
+    shown = (
+        () if flags is None else (ReportFigure(flags, "Figure 5", "Times at which each flag was raised."),)
+    )
     yield Section("flags", "Flags", tables=(tables.flag_table(facts),), figures=shown)

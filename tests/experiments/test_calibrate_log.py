@@ -123,7 +123,7 @@ class TestUncertainty:
         result = calibrate(log, tmp_path, "tare")
         assert json.loads(result.parameters.read_text())["scale_std_N_per_count"] is None
         assert not any("_std_" in name for name in pd.read_parquet(result.walk).columns)
-        assert "claims no uncertainty" in result.page.read_text()
+        assert "The method has no covariance." in result.page.read_text()
 
 
 def test_agreement_is_distance_from_the_motion(log: Log) -> None:
