@@ -17,7 +17,6 @@ from surefoot.experiments.cli.calibrate import walk
 from surefoot.experiments.logs.clock import find_gaps
 from surefoot.experiments.logs.format import Log, LogError, read_log, write_log
 from surefoot.experiments.walking import calibrate as module
-from surefoot.experiments.walking import page
 from surefoot.experiments.walking.agreement import agreement, ground_of_forces, ground_of_motion
 from surefoot.experiments.walking.calibrate import CalibratedLog, calibrate_log, standard_deviations
 from surefoot.experiments.walking.notices import check_weight, log_notices, result_notices
@@ -312,21 +311,6 @@ def test_why_a_tare_learnt_nothing(log: Log, missing: float, why: str) -> None:
     estimate = replay(log.layout, "none", raw, log.reference, mass=log.mass, initial=log.nominal)
     start = "walk.csv: nothing was learnt: the tare map is the one at the start. "
     assert result_notices(log, "tare", log.nominal, estimate, "walk.csv") == (start + why,)
-
-
-@pytest.mark.parametrize(
-    ("about", "known"),
-    [({}, "what the robot knows of its own motion"), ({"feet_alone": True}, "contacts")],
-    ids=["robot", "feet alone"],
-)
-def test_a_page_tells_what_went_in(
-    log: Log, monkeypatch: pytest.MonkeyPatch, about: dict[str, Any], known: str
-) -> None:
-    monkeypatch.setattr(page, "write_log_page", lambda *parts: parts)
-    log = dataclasses.replace(log, about=about)
-    estimate = replay(log.layout, "none", log.raw, log.reference, mass=log.mass, initial=log.nominal)
-    introduction = page.write_walking_page(Path(), Facts(log, "nominal", log.nominal, estimate))[3]
-    assert introduction.startswith(f"Raw readings and {known} went in; ")
 
 
 @pytest.mark.parametrize(("gap", "slower"), [(0.2, 1.0), (0.0, 8.0)])
