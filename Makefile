@@ -163,7 +163,7 @@ $(CORE)/.made: $(SOURCES) | $(CORE)/bin/python $(NEEDS_UV)
 $(LOWEST)/.made: $(SOURCES) | $(LOWEST)/bin/python $(UV)
 	$(call torch_by_pip,$(LOWEST))
 	$(UV) pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
-		-e '.[rl,icub,robots,experiments,ros,view,test]'
+		-e '.[rl,robots,experiments,ros,view,test]'
 	touch $@
 
 clean:

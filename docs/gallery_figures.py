@@ -82,7 +82,7 @@ def draw_environments() -> None:
     shown: list[tuple[str, dict[str, str], float]] = [
         ("Exercise", {"robot": name}, 6.0) for name in ["nao", *others]
     ]
-    shown += [("LegRig", {}, 6.0), ("NaoWalk", {}, 6.0), ("NaoCarry", {}, 30.0), ("NaoCarryHard", {}, 30.0)]
+    shown += [("NaoWalk", {}, 6.0), ("NaoCarry", {}, 30.0), ("NaoCarryHard", {}, 30.0)]
     _, axes = plt.subplots(-(-len(shown) // 4), 4, figsize=(10, 4.2), facecolor="none", layout="constrained")
     for axis in axes.flat:
         axis.axis("off")

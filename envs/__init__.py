@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from surefoot.envs.instrumentation.reader import FeetReader as FeetReader
     from surefoot.envs.instrumentation.spec import instrument as instrument
     from surefoot.envs.instrumentation.truth import FeetTruth as FeetTruth
-    from surefoot.envs.leg_rig.env import LegRigEnv as LegRigEnv
-    from surefoot.envs.leg_rig.spec import ADDED_MASSES as ADDED_MASSES
     from surefoot.envs.nao.balance import NaoBalanceEnv as NaoBalanceEnv
     from surefoot.envs.nao.carry import NaoCarryEnv as NaoCarryEnv
     from surefoot.envs.nao.env import NaoEnv as NaoEnv
@@ -30,14 +28,12 @@ if TYPE_CHECKING:
     from surefoot.envs.robots.nao import load_nao_spec as load_nao_spec
 
 _MODULES = {
-    "ADDED_MASSES": "surefoot.envs.leg_rig.spec",
     "Command": "surefoot.envs.command",
     "ExerciseEnv": "surefoot.envs.exercise.env",
     "FeetDrawing": "surefoot.envs.instrumentation.picture",
     "FeetReader": "surefoot.envs.instrumentation.reader",
     "FeetTruth": "surefoot.envs.instrumentation.truth",
     "InstrumentedEnv": "surefoot.envs.instrumentation.env",
-    "LegRigEnv": "surefoot.envs.leg_rig.env",
     "NaoBalanceEnv": "surefoot.envs.nao.balance",
     "NaoCarryEnv": "surefoot.envs.nao.carry",
     "NaoEnv": "surefoot.envs.nao.env",

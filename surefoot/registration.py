@@ -37,18 +37,17 @@ def register_environments() -> None:
     from gymnasium.envs.registration import register, registry
 
     many = "surefoot.envs.batch:"
-    for name, (entry_point, vector, max_episode_steps) in {
-        "surefoot/Exercise-v0": ("surefoot.envs.exercise.env:ExerciseEnv", f"{many}exercise", None),
-        "surefoot/LegRig-v0": ("surefoot.envs.leg_rig.env:LegRigEnv", None, 3000),
-        "surefoot/NaoBalance-v0": ("surefoot.envs.nao.balance:NaoBalanceEnv", f"{many}balance", None),
-        "surefoot/NaoCarry-v0": ("surefoot.envs.nao.carry:NaoCarryEnv", f"{many}carry", None),
-        "surefoot/NaoStand-v0": ("surefoot.envs.nao.stand:NaoStandEnv", f"{many}stand", None),
-        "surefoot/NaoWalk-v0": ("surefoot.envs.nao.walk:NaoWalkEnv", f"{many}walk", None),
+    for name, (entry_point, vector) in {
+        "surefoot/Exercise-v0": ("surefoot.envs.exercise.env:ExerciseEnv", f"{many}exercise"),
+        "surefoot/NaoBalance-v0": ("surefoot.envs.nao.balance:NaoBalanceEnv", f"{many}balance"),
+        "surefoot/NaoCarry-v0": ("surefoot.envs.nao.carry:NaoCarryEnv", f"{many}carry"),
+        "surefoot/NaoStand-v0": ("surefoot.envs.nao.stand:NaoStandEnv", f"{many}stand"),
+        "surefoot/NaoWalk-v0": ("surefoot.envs.nao.walk:NaoWalkEnv", f"{many}walk"),
     }.items():
         task, _, version = name.rpartition("-")
         made: dict[str, Any] = {"entry_point": entry_point, "vector_entry_point": vector}
         if name not in registry:
-            register(id=name, **made, max_episode_steps=max_episode_steps)
+            register(id=name, **made)
         if task in HARD and f"{task}Hard-{version}" not in registry:
             register(id=f"{task}Hard-{version}", **made, kwargs={**HARD[task]})
 

@@ -1,1 +1,1 @@
-"""A leg on a stand, with masses to hang on it."""
+"""An analytic leg with two six-axis F/T sensors, for studies and tests of in-situ calibration."""

@@ -1,23 +1,25 @@
-"""How the hip of the in-situ rig is turned: slow sweeps of both ranges, and fast swings."""
+"""Hip trajectories for in-situ calibration: slow sweeps of both ranges, and fast swings."""
 
-from dataclasses import dataclass
 from math import gcd
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from surefoot.arrays import Floats
-from surefoot.envs.leg_rig.spec import HIP_RANGE
 from surefoot.envs.options import positive
 
+HIP_RANGE: Final[Floats] = np.radians([70.0, 90.0])
+"""Ranges of the hip joints (front-back, lateral) in rad, from minus half to plus half, shape (2,)."""
+
 RIG_SPEED_DEG = 6.0
-"""Highest speed of each hip joint in deg/s: of what the sensors feel then, about 0.1 % is motion."""
+"""Maximum speed of each hip joint in deg/s. The motion then changes the readings by about 0.1 %."""
 
-_STRAIGHTNESS = 0.7  # from 0, a sine, to 1, a triangle: how sharply the joints turn around
+_STRAIGHTNESS = 0.7
+"""Shape of a sweep, from 0 (a sine) to 1 (a triangle). Chosen."""
 
 
-@dataclass(frozen=True, eq=False)
-class HipMotion:
-    """A trajectory of the hip; columns are front-back (positive forward) and lateral (positive outward)."""
+class HipMotion(NamedTuple):
+    """A trajectory of the hip. Columns are front-back (positive forward) and lateral (positive outward)."""
 
     time: Floats  # of the n samples in s, shape (n,)
     angle: Floats  # in rad, shape (n, 2)
@@ -25,9 +27,9 @@ class HipMotion:
     acceleration: Floats  # its second derivative in rad/s^2, shape (n, 2)
 
     def at_rest(self) -> "HipMotion":
-        """Visit the same postures, standing still in each."""
+        """Return the same postures with zero velocity and acceleration."""
         still = np.zeros_like(self.angle)
-        return HipMotion(self.time, self.angle, still, still)
+        return self._replace(rate=still, acceleration=still)
 
 
 def sweep(
@@ -38,16 +40,20 @@ def sweep(
     range_deg: tuple[float, float] | None = None,
     phase: float = 0.0,
 ) -> HipMotion:
-    """Cover the hip's ranges slowly, coming to each part of them from both sides.
+    """Cover both ranges slowly and reach each part of them from both sides.
 
-    Both joints swing between their ends as often as the speed allows, at nearly constant speed with rounded
-    turns, and in numbers without a common divisor: the path weaves through all postures (Lissajous), and no
-    slow drift of a sensor looks like a turn of the limb.
+    The numbers of swings of the two joints have no common divisor, so the path is a Lissajous curve through
+    all postures and a slow sensor drift is not mistaken for a rotation of the limb.
 
-    Duration in s at a rate in 1/s, the highest speed of each joint in deg/s, the ranges (front-back, lateral)
-    in deg from minus to plus the half, by default those of the rig, where 0 holds the joint, and the phase in
-    rad of the lateral swing at the beginning. ValueError if numbers are not positive, or the time is too
-    short for two swings at that speed.
+    Args:
+        duration: In s.
+        rate: Samples per s.
+        speed_deg: Maximum speed of each joint in deg/s.
+        range_deg: Ranges (front-back, lateral) in deg; 0 holds a joint, ``None`` uses :data:`HIP_RANGE`.
+        phase: Initial phase of the lateral swing in rad.
+
+    Raises:
+        ValueError: If a number is not positive, or the duration is too short for two swings at that speed.
     """
     time, amplitude = _samples(duration, rate), _half_ranges(range_deg)
     period = _periods(amplitude, speed_deg)
@@ -55,9 +61,9 @@ def sweep(
     if duration < needed * (1.0 - 1e-9):
         raise ValueError(
             f"A sweep at {speed_deg:g} deg/s takes at least {needed:.0f} s, got 'duration' = {duration:g}; "
-            f"let it take longer or raise 'speed_deg' to {speed_deg * needed / duration:.1f}."
+            f"increase it, or raise 'speed_deg' to {speed_deg * needed / duration:.1f}."
         )
-    # A joint that is held swings as well, by nothing.
+    # A held joint also gets a frequency; its amplitude is zero.
     swings = [int(duration / one * (1.0 + 1e-9)) if one > 0.0 else 1 for one in period]
     while gcd(*swings) > 1:
         swings[0] -= 1
@@ -72,10 +78,10 @@ def raster(
     *,
     range_deg: tuple[float, float] | None = None,
 ) -> HipMotion:
-    """Sweep the first joint forth and back while the second goes from one end of its range to the other once.
+    """Sweep the first joint back and forth while the second crosses its range once.
 
-    This is how one would scan the range, and how the paper's figures look. A slow drift of a sensor looks
-    like the second joint's turn then. Arguments and errors are those of :func:`sweep`.
+    The paper's figures show such a scan. A slow sensor drift cannot be distinguished from the rotation of
+    the second joint. Arguments and errors are those of :func:`sweep`.
     """
     time, amplitude = _samples(duration, rate), _half_ranges(range_deg)
     period = _periods(amplitude, speed_deg)[0]
@@ -91,11 +97,10 @@ def swing(
     range_deg: tuple[float, float] | None = None,
     seed: int = 0,
 ) -> HipMotion:
-    """Swing both joints at 0.8 to 2 Hz about middles that move over the rest of the ranges.
+    """Swing both joints at 0.8 to 2 Hz about slowly moving centres that cover the rest of the ranges.
 
-    Duration, rate and ranges are those of :func:`sweep`; ``swing_deg`` is the largest deflection from the
-    moving middle, and the seed is that of the three frequencies and phases of each joint. ValueError if
-    numbers are not positive or the swings do not fit into the ranges.
+    ``swing_deg`` is the maximum deflection from the moving centre. The seed determines three frequencies and
+    phases per joint. ValueError if a number is not positive or the swings exceed the ranges.
     """
     time = _samples(duration, rate)
     rest = _half_ranges(range_deg) - np.radians(positive("swing_deg", swing_deg))
@@ -107,7 +112,7 @@ def swing(
     rng = np.random.default_rng([0x5716, seed])
     slow = 2.0 * np.pi / max(duration, 20.0) * np.array([2.0, 5.0])
     motion = _sines(time, rest, slow, rng.uniform(0.0, 2.0 * np.pi, 2))
-    angle, speed, acceleration = motion.angle, motion.rate, motion.acceleration
+    angle, speed, acceleration = motion[1:]
     for band in ((0.8, 1.2), (1.2, 1.6), (1.6, 2.0)):
         frequency = 2.0 * np.pi * rng.uniform(*band, 2)
         part = _sines(time, np.full(2, np.radians(swing_deg) / 3.0), frequency, rng.uniform(0, 2 * np.pi, 2))
@@ -131,14 +136,14 @@ def _samples(duration: float, rate: float) -> Floats:
 
 
 def _periods(amplitude: Floats, speed_deg: float) -> Floats:
-    """Return how long in s one swing of each joint takes at that speed."""
+    """Return the duration in s of one swing of each joint at that speed."""
     top_speed = np.radians(positive("speed_deg", speed_deg))
     period: Floats = 2.0 * np.pi * amplitude * _STRAIGHTNESS / np.arcsin(_STRAIGHTNESS) / top_speed
     return period
 
 
 def _sines(time: Floats, amplitude: Floats, frequency: Floats, phase: Floats) -> HipMotion:
-    """Evaluate amplitude cos(frequency t + phase), one column a joint, with its derivatives."""
+    """Evaluate amplitude cos(frequency t + phase), one column per joint, and its derivatives."""
     argument = time[:, None] * frequency + phase
     return HipMotion(
         time,

@@ -30,7 +30,6 @@ SERVES = {
         "python -c 'from surefoot.native import ENVS; assert ENVS.installed()'",
     ],
     "dask": ["python -c 'from distributed import LocalCluster'"],
-    "icub": ["python -c 'from surefoot.envs.leg_rig import icub; icub.load_icub_leg_spec().compile()'"],
     "robots": ["python -c 'from surefoot import envs; envs.load_robot_spec(\"g1\").compile()'"],
     "rl": ["python -c 'import surefoot.wrappers.vector.sb3'"],
     "gpu": ["python -c 'import surefoot.wrappers.gpu'"],

@@ -51,7 +51,6 @@ def calibrated(env: gym.Env[Any, Any] | None = None, config: str = "hx711-load-c
 
 QUICK: dict[str, Callable[[], gym.Env[Any, Any]]] = {
     "NaoBalance": balance,
-    "LegRig": lambda: gym.make("surefoot/LegRig-v0"),
     "InstrumentedEnv": lambda: InstrumentedEnv(humanoid()),
     "SelfCalibration": calibrated,
     "SelfCalibration of ankles": lambda: calibrated(humanoid(), ANKLES),
