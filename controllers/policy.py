@@ -47,7 +47,7 @@ class PolicyFileError(ValueError):
 
 
 class PolicyNetwork:
-    """Turns observations of :class:`~surefoot.envs.NaoBalanceEnv`, or of wrappers around it, into actions.
+    """Turns observations of ``surefoot/NaoBalance-v0``, or of wrappers around it, into actions.
 
     Args:
         parts: Parts of the observation that are looked at, in order, with their sizes.

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from surefoot.envs.instrumentation.reader import FeetReader as FeetReader
     from surefoot.envs.instrumentation.spec import instrument as instrument
     from surefoot.envs.instrumentation.truth import FeetTruth as FeetTruth
-    from surefoot.envs.nao.balance import NaoBalanceEnv as NaoBalanceEnv
-    from surefoot.envs.nao.carry import NaoCarryEnv as NaoCarryEnv
     from surefoot.envs.nao.env import NaoEnv as NaoEnv
     from surefoot.envs.nao.stand import NaoStandEnv as NaoStandEnv
     from surefoot.envs.nao.walk import NaoWalkEnv as NaoWalkEnv
@@ -34,8 +32,6 @@ _MODULES = {
     "FeetReader": "surefoot.envs.instrumentation.reader",
     "FeetTruth": "surefoot.envs.instrumentation.truth",
     "InstrumentedEnv": "surefoot.envs.instrumentation.env",
-    "NaoBalanceEnv": "surefoot.envs.nao.balance",
-    "NaoCarryEnv": "surefoot.envs.nao.carry",
     "NaoEnv": "surefoot.envs.nao.env",
     "NaoStandEnv": "surefoot.envs.nao.stand",
     "NaoWalkEnv": "surefoot.envs.nao.walk",

@@ -22,8 +22,6 @@ from surefoot.arrays import Floats
 from surefoot.envs.biped import BipedEnv, State, effort
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.env import ExerciseEnv
-from surefoot.envs.nao.balance import NaoBalanceEnv
-from surefoot.envs.nao.carry import NaoCarryEnv
 from surefoot.envs.nao.stand import NaoStandEnv
 from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.observation import Look, Observation
@@ -374,7 +372,5 @@ def _add_masks(parts: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]
 
 
 exercise = partial(BatchVectorEnv, ExerciseEnv)
-balance = partial(BatchVectorEnv, NaoBalanceEnv)
-carry = partial(BatchVectorEnv, NaoCarryEnv)
 stand = partial(BatchVectorEnv, NaoStandEnv)
 walk = partial(BatchVectorEnv, NaoWalkEnv)

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from math import cos, isfinite, pi, sin
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
+from surefoot.arrays import Floats
 from surefoot.envs.options import check_range, numbers_of, positive
 
 PUSH_TIME = 0.1  # how long a push lasts in s
@@ -19,13 +20,13 @@ class Pushes:
     distributed with the mean ``interval`` in s. For ``quiet_time`` s after a reset there are none.
     """
 
-    quiet_time = 0.0
-
-    def __init__(self, model: Any, impulse: Sequence[float], interval: float, dt: float) -> None:
+    def __init__(
+        self, model: Any, impulse: Sequence[float], interval: float, dt: float, quiet_time: float = 0.0
+    ) -> None:
         self._impulse = check_range("push_impulse", impulse)
         self._interval = positive("push_interval", interval) / dt
         self._length = round(PUSH_TIME / dt)
-        self._dt = dt
+        self._dt, self._quiet_time = dt, quiet_time
         self._body = int(model.body("torso").id)
         self._next = 0.0
         self._left = 0
@@ -33,7 +34,7 @@ class Pushes:
     def reset(self, rng: np.random.Generator) -> None:
         """Draw when the first push comes."""
         self._left = 0
-        self._next = self.quiet_time / self._dt + rng.exponential(self._interval)
+        self._next = self._quiet_time / self._dt + rng.exponential(self._interval)
 
     def apply(self, data: Any, rng: np.random.Generator) -> None:
         """Push, or not, during the control step that follows."""
@@ -55,11 +56,44 @@ class Pushes:
 POSITION_PAYLOAD_TORSO = (0.06, 0.0, 0.04)
 """Where a payload's centre of mass lies in the torso's frame, in m: held before the chest."""
 
+CHEST = ((POSITION_PAYLOAD_TORSO, POSITION_PAYLOAD_TORSO),)
+"""That place alone, as boxes to draw from."""
+
 HALF_EDGE = 0.03  # half the edge in m of the cube whose inertia a payload has
 
 
 LINK = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
 """Fields of a model: mass, centre of mass, principal inertia and its axes of a body."""
+
+
+class PayloadRange(NamedTuple):
+    """Ranges from which an episode draws its payload."""
+
+    mass: tuple[float, float]  # in kg
+    time: tuple[float, float]  # after the initial stand in s
+    boxes: Floats  # corners of boxes in the torso's frame in m, shape (boxes, 2, 3)
+
+    @classmethod
+    def checked(
+        cls, mass: Sequence[float], time: Sequence[float], boxes: Sequence[Sequence[Sequence[float]]]
+    ) -> "PayloadRange":
+        """Return ranges, or raise ValueError naming the option that is out of its range."""
+        try:
+            corners = np.array(boxes, dtype=np.float64)
+        except (TypeError, ValueError):
+            corners = np.zeros(0)
+        if corners.shape[1:] != (2, 3) or not np.isfinite(corners).all() or not len(corners):
+            raise ValueError(
+                "'payload_boxes' must be boxes of a lowest and a highest corner in m, shape (boxes, 2, 3), "
+                f"at least one and all finite; got {boxes!r}."
+            )
+        return cls(check_range("payload_mass", mass), check_range("payload_time", time), corners)
+
+    def draw(self, rng: np.random.Generator, stand_time: float) -> tuple[float, float, list[float]]:
+        """Draw mass in kg, time of the episode in s and place in the torso's frame in m."""
+        mass, time = rng.uniform(*self.mass), stand_time + rng.uniform(*self.time)
+        low, high = self.boxes[rng.integers(len(self.boxes))]
+        return mass, time, rng.uniform(low, high).tolist()
 
 
 class Payload:

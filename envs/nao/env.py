@@ -1,4 +1,4 @@
-"""A NAO-class biped on eight load cells: the base of the surefoot environments."""
+"""A NAO-class biped on eight load cells: the base of its tasks."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -11,7 +11,7 @@ from surefoot.envs.biped import BipedEnv, Fall
 from surefoot.envs.command import Command
 from surefoot.envs.instrumentation.drawing import RobotDrawing, draw_nao
 from surefoot.envs.instrumentation.truth import FeetTruth
-from surefoot.envs.nao.disturbances import Payload, Pushes
+from surefoot.envs.nao.disturbances import CHEST, Payload, PayloadRange, Pushes
 from surefoot.envs.nao.truth import truth_layout
 from surefoot.envs.observation import FORCE_BOUND, Observation, Seen, closeness
 from surefoot.envs.options import (
@@ -43,7 +43,6 @@ SINK_EXPONENT = 1.3
 """Power of the time constant with which it gives way: 2 for a linear spring, less as MuJoCo's stiffens."""
 
 GROUND_TIME_CONSTANT = 0.02  # time constant in s of the contacts in nao.xml: firm ground
-COP_SCALE = 0.02  # error of the centre of pressure in m at which its reward has fallen to 1/e
 
 DEFAULT_STIFFNESS = (1.08, 0.87, 0.94, 1.15, 0.91, 1.12, 1.18, 0.83)
 """Relative stiffnesses of the eight cells, uneven by up to 18 %: no two corners of a real shoe are alike."""
@@ -105,15 +104,17 @@ class NaoEnv(BipedEnv):
 
     ## Reward
 
-    Each step pays ``reward_alive`` = 1, ``reward_cop`` = exp(-(e / 0.02 m)^2) with e the distance between the
-    true centre of pressure and its reference (0 where there is none), and ``reward_action`` = -0.1 times the
-    mean square of the action. ``info`` holds the three terms.
+    Each step pays ``reward_alive`` = 1, ``reward_cop`` = w exp(-(e / s)^2) with the weight w = 1, the scale s
+    = 0.02 m and e the distance between the true centre of pressure and its reference (0 where there is none),
+    and ``reward_action`` = -0.1 times the mean square of the action. ``info`` holds the three terms.
 
     ## Starting state and disturbances
 
     The pattern's first posture, upright on its footprints, with uniform noise on the joints and on the
     velocity of the torso; the friction of the ground is drawn once an episode. Pushes come at exponentially
-    distributed intervals and last 0.1 s, horizontal and in any direction at the torso's centre of mass.
+    distributed intervals and last 0.1 s, horizontal and in any direction at the torso's centre of mass. A
+    payload is fixed to the torso at a fixed or random time. With ``quiet_start`` nothing happens during the
+    initial stand, in which residuals are not applied either, so that calibrators get a standing start.
 
     ## End of an episode
 
@@ -139,8 +140,18 @@ class NaoEnv(BipedEnv):
         prelude: The robot's motion before each episode, or the path of its file, which
             ``surefoot calibrate motion nao`` writes. Its steps are ordinary ones, in which nobody pushes;
             ``duration`` and a task's own times begin after it. ``None`` for nothing.
-        payload: (mass in kg, time in s): a mass that is fixed before the chest from that time on, of which
-            neither the pattern nor a nominal model knows, (0.3, 15) for instance; ``None`` for none.
+        payload: (mass in kg, time in s): a mass that is fixed before the chest from that time on, which
+            neither the pattern nor a nominal model contains, (0.3, 15) for instance; ``None`` for none.
+        payload_mass: Lowest and highest mass in kg of a payload that each episode draws instead; (0, 0) for
+            none, ``None`` to draw nothing.
+        payload_time: When it comes: least and most time in s after the initial stand. The default leaves a
+            calibrator enough time to distinguish a load from a broken sensor.
+        payload_boxes: Boxes in the torso's frame in m, shape (boxes, 2, 3). An episode draws one, and the
+            place of the payload's centre of mass in it.
+        stand_time: Time in s for which the robot stands at the beginning.
+        quiet_start: Whether pushes and residuals are held back during that time.
+        cop_scale: Error of the centre of pressure in m at which its reward has fallen to 1/e.
+        cop_weight: Largest ``reward_cop``.
         joint_noise: Largest initial error of a joint in rad.
         velocity_noise: Largest initial velocity of the torso along each axis, in m/s and rad/s.
         push_impulse: Smallest and largest impulse of a push in N s; (0, 0) for none.
@@ -160,6 +171,7 @@ class NaoEnv(BipedEnv):
         motor_names: The M motors, the leg motors of an action first.
         state_layout: Where each part lies in ``observation["state"]``.
         position_cell_sole: Places of the cells in the sole frames in m, shape (2, 4, 3).
+        stand_time: Duration of the quiet start in s; 0 without one.
         markers: Spheres to draw into the next frames: (position in the world in m, RGBA, radius in m).
 
     Raises:
@@ -182,6 +194,13 @@ class NaoEnv(BipedEnv):
         friction: Sequence[float] = (0.6, 0.9),
         ground_time_constant: float = GROUND_TIME_CONSTANT,
         payload: Sequence[float] | None = None,
+        payload_mass: Sequence[float] | None = None,
+        payload_time: Sequence[float] = (10.5, 12.5),
+        payload_boxes: Sequence[Sequence[Sequence[float]]] = CHEST,
+        stand_time: float = 0.0,
+        quiet_start: bool = False,
+        cop_scale: float = 0.02,
+        cop_weight: float = 1.0,
         prelude: Prelude | str | PathLike[str] | None = None,
         joint_noise: float = 0.005,
         velocity_noise: float = 0.01,
@@ -196,6 +215,8 @@ class NaoEnv(BipedEnv):
         self._friction = check_range("friction", friction)
         self._joint_noise = positive("joint_noise", joint_noise, or_zero=True)
         self._velocity_noise = positive("velocity_noise", velocity_noise, or_zero=True)
+        self._cop_scale = positive("cop_scale", cop_scale)
+        self._cop_weight = positive("cop_weight", cop_weight, or_zero=True)
         check_render_mode(render_mode, self.metadata["render_modes"])
 
         model = nao_model()
@@ -220,7 +241,15 @@ class NaoEnv(BipedEnv):
         model.pair_solref[:, 0] = give
         self._sink = SINK * (give / GROUND_TIME_CONSTANT) ** SINK_EXPONENT
         self._payload = Payload(model, payload, CONTROL_STEP)
-        self._pushes = Pushes(model, push_impulse, push_interval, CONTROL_STEP)
+        self._payload_range = None
+        if payload_mass is not None:
+            self._payload_range = PayloadRange.checked(payload_mass, payload_time, payload_boxes)
+            if payload is not None:
+                raise ValueError("Pass either 'payload' or 'payload_mass': an episode has one payload.")
+        self.stand_time = stand_time if quiet_start else 0.0
+        self.quiet_ticks = round(self.stand_time / CONTROL_STEP)
+        self._stand_time = stand_time
+        self._pushes = Pushes(model, push_impulse, push_interval, CONTROL_STEP, quiet_time=self.stand_time)
         self._motor_of_joint = motor_of_joint(model)
         self.fastest = model.actuator_user[:, 0] * CONTROL_STEP
         self._torso = model.body("torso").id
@@ -236,14 +265,23 @@ class NaoEnv(BipedEnv):
             self._pushes.apply(data, self.np_random)
         return self._payload.apply(tick)
 
+    def draw_payload(self) -> None:
+        """Draw the payload of an episode, if it is random."""
+        if self._payload_range is not None:
+            self._payload.plan(*self._payload_range.draw(self.np_random, self._stand_time))
+
     def read(self, rows: Floats) -> FeetTruth:
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         return FeetTruth(rows, self.channels)
 
+    def base_reward(self, seen: Seen, cop_error_x: float, cop_error_y: float) -> dict[str, float]:
+        """Return the terms that all tasks have, for errors of the centre of pressure in m in a frame."""
+        near = closeness(cop_error_x, cop_error_y, self._cop_scale) if seen.cop_valid else 0.0
+        return {"reward_alive": 1.0, "reward_cop": self._cop_weight * near, "reward_action": seen.effort}
+
     def reward(self, seen: Seen) -> dict[str, float]:
         """Return the terms of the reward, by name."""
-        cop = closeness(seen.cop_error_x, seen.cop_error_y, COP_SCALE) if seen.cop_valid else 0.0
-        return {"reward_alive": 1.0, "reward_cop": cop, "reward_action": seen.effort}
+        return self.base_reward(seen, seen.cop_error_x, seen.cop_error_y)
 
     def place(self, command: Command, target: Floats) -> None:
         """Put the robot onto its footprints."""

@@ -136,7 +136,8 @@ def test_the_number_of_threads_changes_nothing():
 
 @pytest.mark.slow
 def test_a_prelude_is_played_before_each_episode():
-    commands = [NaoStandEnv(sway=(0.02, 0.0)).command_at(None, tick) for tick in range(40)]
+    swaying = NaoStandEnv(sway=(0.02, 0.0))
+    commands = [swaying.command_at(swaying.draw({}), tick) for tick in range(40)]
     one = NaoStandEnv()
     prelude = surefoot.envs.Prelude.of_commands(
         one.dt, one.motor_names, commands, np.zeros(len(commands), dtype=bool)

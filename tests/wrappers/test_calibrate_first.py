@@ -15,7 +15,7 @@ STILL = np.zeros(11, dtype=np.float32)
 def prelude():
     """Two periods of a sway, with a rest after each."""
     env = NaoStandEnv(sway=(0.03, 0.02), sway_period=2.0)
-    commands = [env.command_at(None, tick) for tick in range(1, 321)]
+    commands = [env.command_at(env.draw({}), tick) for tick in range(1, 321)]
     return Prelude.of_commands(env.dt, env.motor_names, commands, np.isin(np.arange(320), (159, 319)))
 
 
