@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -20,13 +20,67 @@ from surefoot.envs.instrumentation.truth import FeetTruth, cross
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
+_INTEGRATORS = {
+    mujoco.mjtIntegrator.mjINT_EULER: mujoco.mj_Euler,
+    mujoco.mjtIntegrator.mjINT_RK4: lambda model, data: mujoco.mj_RungeKutta(model, data, 4),
+    mujoco.mjtIntegrator.mjINT_IMPLICIT: mujoco.mj_implicit,
+    mujoco.mjtIntegrator.mjINT_IMPLICITFAST: mujoco.mj_implicit,
+}
+"""How a substep ends after ``mj_forward``."""
+
+
+def specific_force(velocity: Floats, axes: Floats, interval: float, gravity: Floats) -> Floats:
+    """Return the mean specific force between instants in the IMU's axes in m/s^2, shape (n, 3).
+
+    Args:
+        velocity: Velocity of the IMU in the world at n + 1 instants in m/s, shape (n + 1, 3).
+        axes: The IMU's three axes in the world one after another, shape (n + 1, 3, 3).
+        interval: Time between two instants in s.
+        gravity: Acceleration of free fall in the world in m/s^2, shape (3,).
+    """
+    gained = np.diff(velocity, axis=0) / interval - gravity
+    middle = 0.5 * (axes[1:] + axes[:-1])
+    force: Floats = (middle @ gained[:, :, None])[:, :, 0]
+    return force
+
+
+class Imu(NamedTuple):
+    """An IMU on a torso: an object of a model that moves with it and has its axes."""
+
+    kind: mujoco.mjtObj  # site or body
+    number: int  # of that site or body
+    torso: int  # number of the body that carries it
+
+    def follow(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Evaluate positions and velocities of the bodies at a state."""
+        for compute in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
+            compute(model, data)
+
+    def motion(self, model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Floats, Floats, Floats]:
+        """Return its angular velocity in its axes, its velocity in the world, and its axes, (3), (3), (9)."""
+        spatial, R = np.zeros(6), data.xmat[self.torso].reshape(3, 3)
+        mujoco.mj_objectVelocity(model, data, self.kind, self.number, spatial, 0)
+        return spatial[:3] @ R, spatial[3:], R.T.ravel()
+
+    def gain(self, model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
+        """Integrate a state after ``mj_forward``; return the specific force in that substep, shape (3,)."""
+        _, *before = self.motion(model, data)
+        _INTEGRATORS[mujoco.mjtIntegrator(model.opt.integrator)](model, data)
+        self.follow(model, data)
+        _, *after = self.motion(model, data)
+        velocity, axes = (np.stack(pair) for pair in zip(before, after, strict=True))
+        forces = specific_force(velocity, axes.reshape(2, 3, 3), model.opt.timestep, model.opt.gravity)
+        return np.array(forces[0])
+
+
 class SensorReader:
     """Reads the sensors that were added to a model, and keeps them still where they would be seen.
 
     MuJoCo keeps each sensor's last ``samples`` values in a ring (``data.history``), with a row's time in its
-    clock's column. It evaluates sensors at the beginning of a substep: forces, accelerations and contacts are
-    then those that act in it. Angles and gyroscope are moved on to its end, where the next substep begins,
-    and the last ones are taken from the state.
+    clock's column. It evaluates sensors at the beginning of a substep: forces and contacts are then those
+    that act in it. Angles and gyroscope are moved on to its end, where the next substep begins, and the last
+    ones are taken from the state. The accelerometer is the velocity that the IMU gains in the substep,
+    because MuJoCo's own sensor omits what implicit damping or a Runge-Kutta step add to the motion.
     """
 
     def __init__(
@@ -43,10 +97,7 @@ class SensorReader:
         self._gyroscope, self._joints = self._layout.columns.gyroscope, self._layout.columns.joint_position
         torso = model.body(instrumentation.torso).id
         self._encoders = model.jnt_qposadr[list(encoders(model, torso))]
-        joint = model.body_jntadr[torso]
-        free = joint >= 0 and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
-        spin = model.jnt_dofadr[joint] + 3 if free else 0
-        self._spin = slice(spin, spin + 3) if free else None
+        self._imu = Imu(mujoco.mjtObj.mjOBJ_SITE, model.site(instrumentation.imu).id, torso)
         if samples > 1:
             self._places = self._places_in_ring(first)
         self.watch(data)
@@ -93,9 +144,14 @@ class SensorReader:
             if newest != self._samples - 1:
                 rows = np.roll(rows, -newest - 1, axis=0)
         rows[-1, self._joints] = data.qpos[self._encoders]
-        if self._spin is not None:
-            rows[-1, self._gyroscope] = data.qvel[self._spin]
-        h = self._model.opt.timestep
+        scratch, h = self._scratch, self._model.opt.timestep
+        scratch.qpos[:], scratch.qvel[:] = data.qpos, data.qvel
+        self._imu.follow(self._model, scratch)
+        rows[-1, self._gyroscope], velocity, axes = self._imu.motion(self._model, scratch)
+        columns = self._layout.columns
+        velocities = np.vstack([rows[:, columns.velocity_imu], velocity])
+        R = np.vstack([rows[:, columns.axes_torso], axes]).reshape(-1, 3, 3)
+        rows[:, columns.accelerometer] = specific_force(velocities, R, h, self._model.opt.gravity)
         if abs(now - before - self._samples * h) > 0.5 * h:
             return self._after_other_step(rows, round((now - before if now > before else now) / h))
         return FeetTruth(rows, self._layout)
@@ -116,8 +172,10 @@ class SensorReader:
         mujoco.mj_getState(self._model, self._data, self._state, _STATE)
         mujoco.mj_setState(self._model, self._scratch, self._state, _STATE)
         mujoco.mj_forward(self._model, self._scratch)
+        row = self._scratch_row.copy()
+        row[self._layout.columns.accelerometer] = self._imu.gain(self._model, self._scratch)
         self._read_until = self._data.time
-        return FeetTruth(np.tile(self._scratch_row, (self._samples, 1)), self._layout)
+        return FeetTruth(np.tile(row, (self._samples, 1)), self._layout)
 
     def still(self) -> AbstractContextManager[None]:
         """Return a context in which the sensors are disabled, because a reset must not notice them."""
@@ -171,9 +229,9 @@ class FeetReader:
         # The last column stands for what is no geom, such as a cloth.
         inside = [below(model, body)[model.geom_bodyid] for body in self._feet]
         self._is_foot = np.pad(np.array(inside, dtype=int), ((0, 0), (0, 1)))
-        self._imu = (mujoco.mjtObj.mjOBJ_XBODY, self._torso)
+        self._imu = Imu(mujoco.mjtObj.mjOBJ_XBODY, self._torso, self._torso)
         if imu:
-            self._imu = (mujoco.mjtObj.mjOBJ_SITE, model.site(imu).id)
+            self._imu = Imu(mujoco.mjtObj.mjOBJ_SITE, model.site(imu).id, self._torso)
 
     def watch(self, data: mujoco.MjData) -> None:
         """Read another simulation of the model from now on."""
@@ -192,7 +250,7 @@ class FeetReader:
         return nullcontext()
 
     def row(self) -> Floats:
-        """Compute the sensors' measurements in the present state, shape (27 F + 28 + J,)."""
+        """Compute the sensors' measurements in the present state, shape (27 F + 31 + J,)."""
         model, own = self._model, self._data
         mujoco.mj_getState(model, self._watched, self._state, _STATE)
         mujoco.mj_setState(model, own, self._state, _STATE)
@@ -206,9 +264,9 @@ class FeetReader:
             self._read_foot(i, foot)
         self._add_contacts(feet)
         torso = slice(split, split + TORSO_WIDTH)
-        self._read_torso(row[torso])
         row[torso.stop : -1] = own.qpos[self._encoders]
         row[-1] = own.time
+        self._read_torso(row[torso])
         return row
 
     def _read_foot(self, i: int, row: Floats) -> None:
@@ -240,14 +298,12 @@ class FeetReader:
                 foot[FootColumns.torque] -= side * (torque + cross(arm, force))
 
     def _read_torso(self, row: Floats) -> None:
-        """Read the torso's frame, the whole robot's motion and the IMU."""
-        model, own, torso, spatial = self._model, self._data, self._torso, np.zeros(6)
+        """Read the torso's frame, the whole robot's motion and the IMU; moves the copied state."""
+        model, own, torso = self._model, self._data, self._torso
         row[TORSO["position_torso"]] = own.xpos[torso]
         row[TORSO["axes_torso"]] = own.xmat[torso].reshape(3, 3).T.ravel()
         row[TORSO["com"]] = own.subtree_com[torso]
         row[TORSO["com_velocity"]] = own.subtree_linvel[torso]
         row[TORSO["angular_momentum"]] = own.subtree_angmom[torso]
-        mujoco.mj_objectAcceleration(model, own, *self._imu, spatial, 1)
-        row[TORSO["accelerometer"]] = spatial[3:]
-        mujoco.mj_objectVelocity(model, own, *self._imu, spatial, 1)
-        row[TORSO["gyroscope"]] = spatial[:3]
+        row[TORSO["gyroscope"]], row[TORSO["velocity_imu"]], _ = self._imu.motion(model, own)
+        row[TORSO["accelerometer"]] = self._imu.gain(model, own)

@@ -44,10 +44,11 @@ TORSO: Final = {
     "accelerometer": slice(21, 24),
     "gyroscope": slice(24, 27),
     "inertial": slice(21, 27),
+    "velocity_imu": slice(27, 30),
 }
-"""Columns after the feet: frame of the torso, motion of the whole robot, IMU."""
+"""Columns after the feet: frame of the torso, motion of the whole robot, IMU and its velocity."""
 
-TORSO_WIDTH: Final = 27
+TORSO_WIDTH: Final = 30
 
 LEAST_WEIGHT: Final = (
     0.1  # share of its weight that a robot with gravity compensation puts on its feet at least
@@ -88,6 +89,7 @@ class RowColumns(NamedTuple):
     joint_position: slice
     sensed: SensedColumns  # what sensors read
     time: int  # the simulated time
+    velocity_imu: slice = slice(0, 0)  # velocity of the IMU in the world; empty where it is not measured
 
 
 CellMap = tuple[Floats, Floats]
@@ -170,7 +172,7 @@ class MeasuredRobot:
 
     @cached_property
     def rows(self) -> RowLayout:
-        """The layout of its rows: 27 numbers a foot, 27 of the torso, one a joint, and the time."""
+        """The layout of its rows: 27 numbers per foot, 30 of the torso, one per joint, and the time."""
         return self.rows_after(0)
 
     def rows_after(self, start: int) -> RowLayout:

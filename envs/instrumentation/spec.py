@@ -60,7 +60,9 @@ class Instrumentation:
     def read(self, model: mujoco.MjModel, data: mujoco.MjData) -> FeetTruth:
         """Read all sensors: the state at the beginning of the last step, or at ``mj_forward``.
 
-        Of the compiled :attr:`spec`, or a user's change of it; ValueError if it lacks the sensors.
+        Of the compiled :attr:`spec`, or a user's change of it; ValueError if it lacks the sensors. The
+        accelerometer is MuJoCo's sensor, which omits what implicit damping adds to the motion;
+        :class:`~surefoot.envs.InstrumentedEnv` reads the velocity that the IMU gains instead.
         """
         return self.read_rows(model, data.sensordata)
 
@@ -209,7 +211,7 @@ def _add_foot(spec: mujoco.MjSpec, foot: FootGeometry, name: str) -> None:
 
 
 def _add_torso(spec: mujoco.MjSpec, torso: str, imu: str, name: str) -> None:
-    """Add the 27 channels of the torso."""
+    """Add the 30 channels of the torso."""
     body, site = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_SITE
     _add_frame(spec, name, mujoco.mjtObj.mjOBJ_XBODY, torso)
     for what, kind, objtype, objname in (
@@ -218,6 +220,7 @@ def _add_torso(spec: mujoco.MjSpec, torso: str, imu: str, name: str) -> None:
         ("angular_momentum", mujoco.mjtSensor.mjSENS_SUBTREEANGMOM, body, torso),
         ("accelerometer", mujoco.mjtSensor.mjSENS_ACCELEROMETER, site, imu),
         ("gyroscope", mujoco.mjtSensor.mjSENS_GYRO, site, imu),
+        ("velocity", mujoco.mjtSensor.mjSENS_FRAMELINVEL, site, imu),
     ):
         spec.add_sensor(name=f"{name}_{what}", type=kind, objtype=objtype, objname=objname)
 
