@@ -50,7 +50,7 @@ typedef struct {
     int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show a vertical force, and those of it */
     sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, mass_std, ahead, kept_time, longest_pause, product_time;
     sf_real largest_error, level, least_read, held_chance;
-    sf_real velocity_variance[3], spin_variance, ripple, least_load;
+    sf_real velocity_variance[3], spin_variance, ripple, least_load, least_cosine;
     sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
     sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_tared, largest_sum, touch_load;
     sf_real level_time, least_still;
@@ -346,10 +346,15 @@ SF_API void sf_units(const sf_config *c, const sf_moment_config *m, const sf_rea
             total += by * part[2];
             x += by * (at[0] * part[2] - part[4]);
             y += by * (at[1] * part[2] + part[3]);
-            /* Cells see nothing of what acts along the ground, and the sole is on it. */
-            if (C == 3) part[0] = part[1] = 0;
-            sf_cross(moved, at, part);
-            for (int k = 0; k < 3; k++) part[3 + k] += moved[k];
+            if (C == 3) { /* Model._of_cells: the mean force of the ground is vertical, also under a leaning sole */
+                sf_real cosine = sf_max(R[8], m->least_cosine);
+                part[2] = own[2] / cosine;
+                part[3] = (at[1] * own[2] - R[3] * torque[1] + R[4] * torque[0]) / cosine;
+                part[4] = -(at[0] * own[2] - R[0] * torque[1] + R[1] * torque[0]) / cosine;
+            } else {
+                sf_cross(moved, at, part);
+                for (int k = 0; k < 3; k++) part[3 + k] += moved[k];
+            }
             for (int r = 0; r < C; r++) unit[r * K + i] = part[sf_component(r)];
         }
     }

@@ -25,6 +25,10 @@ LEAST_LOAD = 0.2
 """Load in body weights that a centre of pressure is divided by at least: o is any point, and less of the
 weight is on the feet in the air only."""
 
+LEAST_COSINE = 0.5
+"""Smallest cosine of a sole's lean by which the normal force is divided. A foot that leans by more than 60
+degrees does not stand on its sole."""
+
 _ORDER = ([2, 3, 4], [2, 3, 4, 0, 1, 5])
 """Components of (force, torque) in the order of the momentum: (P_z, H_x, H_y), then (P_x, P_y, H_z)."""
 
@@ -175,14 +179,27 @@ class Model:
 
     def _of_channels(self, sole: Array, rotation: Array) -> Array:
         """Return the components of a unit of each channel, shape (n, C, K), of soles seen from o."""
+        if not self._shear:
+            return self._of_cells(sole, rotation)
         force = rotation @ self._wrench_map[:, :3]
         torque = rotation @ self._wrench_map[:, 3:]
-        if not self._shear:
-            # Cells see no force along the ground, and the sole is on it.
-            force[..., :2, :] = 0.0
         arm = np.broadcast_to(sole[..., None], force.shape)
         torque = torque + np.cross(arm, force, axis=-2)
         components: Array = np.concatenate([force, torque], axis=-2).sum(axis=1)[:, self._order]
+        return components
+
+    def _of_cells(self, sole: Array, rotation: Array) -> Array:
+        """Return the same for cells, which measure only the force normal to the sole.
+
+        The mean force of the ground is vertical, also under a leaning sole: friction supplies the component
+        along the sole. A cell that measures n under a sole that leans by theta therefore carries n / cos
+        theta.
+        """
+        normal, tx, ty = self._wrench_map[:, 2], self._wrench_map[:, 3, None], self._wrench_map[:, 4, None]
+        cosine = np.maximum(rotation[..., 2, 2], LEAST_COSINE)[..., None]
+        moment = sole[..., :2, None] * normal[:, None] - rotation[..., :2, :1] * ty + rotation[..., :2, 1:2] * tx
+        vertical, moment = normal / cosine, moment / cosine[..., None]
+        components: Array = np.stack([vertical, moment[:, :, 1], -moment[:, :, 0]], axis=2).sum(axis=1)
         return components
 
     def _weigh(self, arm: Array) -> tuple[Array, Array]:
