@@ -24,11 +24,15 @@ class PythonFilter:
     def __init__(self, method: OnlineMethod, state: Any = None) -> None:
         self._method, self.state = method, state
 
-    def update(self, raw: Array, reference: AnyReference, dt: Any) -> Estimate:
-        """Process one sample."""
+    def update(self, raw: Array, reference: AnyReference, dt: Any, late: Array | None = None) -> Estimate:
+        """Process one sample of readings that are older than usual by ``late`` in s, shape (K,)."""
         if isinstance(reference, ReferenceRecord):
             reference = reference.reference()
         state = self._method.init(raw) if self.state is None else self.state
+        if late is not None:
+            front = getattr(state, "front", None)
+            own = {"late": late} if front is None else {"front": front._replace(late=late)}
+            state = state._replace(**own)
         self.state, estimate = self._method.update(state, raw, reference, as_number("dt", dt))
         return estimate
 
@@ -47,6 +51,11 @@ class LibraryFilter:
     def __init__(self, native: NativeFilter, method: OnlineMethod) -> None:
         self._native, self._method, self._state = native, method, native.pack()
         self._started = self._shared = False
+        self._late: Array = next(
+            self._state.now[name]
+            for name in ("front_late", "late")
+            if name in (self._state.now.dtype.names or ())
+        )
         self.library: Library | None = native.library
 
     @property
@@ -59,16 +68,18 @@ class LibraryFilter:
         self._native.put(self._state, state)
         self._started = state is not None
 
-    def update(self, raw: Array, reference: AnyReference, dt: Any) -> Estimate:
+    def update(self, raw: Array, reference: AnyReference, dt: Any, late: Array | None = None) -> Estimate:
         """Process one sample. Samples that the library cannot take are passed to the Python backend."""
         if isinstance(reference, ReferenceRecord) and reference.library is not self.library:
             reference = reference.reference()
         if not self._native.takes(raw, reference, dt):
             python = PythonFilter(self._method, self.state)
-            estimate = python.update(raw, reference, dt)
+            estimate = python.update(raw, reference, dt, late)
             self.state = python.state
             return estimate
         self._started = True
+        if late is not None:
+            self._late[...] = late
         return self._native.update(self._state, raw, reference, dt)
 
     def retract(self) -> None:

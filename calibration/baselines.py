@@ -23,7 +23,6 @@ import numpy as np
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import check_count, check_not_negative, check_positive
 from surefoot.calibration.estimate import Estimate, Flag
-from surefoot.calibration.front_end.ages import as_read
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineMethod, OnlineSetup
@@ -112,7 +111,7 @@ def tare(setup: OnlineSetup, config: SwingTare | None = None) -> OnlineMethod:
 
 def leave_start(setup: OnlineSetup) -> OnlineMethod:
     """Return the method that never changes the starting map and does not extrapolate readings."""
-    front_end = FrontEnd(as_read(setup), imu=False)
+    front_end = FrontEnd(setup, imu=False, extrapolates=False)
 
     def update(state: FrontState, raw: Array, reference: Reference, dt: float) -> tuple[FrontState, Estimate]:
         state, sample = front_end.observe(state, raw, reference, dt)

@@ -91,8 +91,9 @@ class Estimate(NamedTuple):
     """Calibrated readings of one sample. In a replay, each field has the samples on its first axis.
 
     Forces, wrenches and parameters are always finite. A centre of pressure is NaN exactly where its
-    validity is false. Forces, and all values computed from them, belong to the current time: readings that
-    are older by the setup's ``age`` are extrapolated (:mod:`surefoot.calibration.front_end.ages`).
+    validity is false. Forces and single feet are as they were read. If readings are older by the setup's
+    ``age``, ``cop`` is extrapolated to the current time. The aligned values belong to one common moment,
+    ``FootCalibrator.aligned_lag`` samples ago (:mod:`surefoot.calibration.front_end.ages`).
 
     Attributes:
         force: Calibrated channels in N (or the channel's own unit), shape (K,).
@@ -115,6 +116,11 @@ class Estimate(NamedTuple):
         nis_rows: Number of rows, its degrees of freedom, shape (), or ``None``.
         cop_measured: Centre of pressure of the forces without extrapolation, in m, shape (2,), NaN if it is
             not defined. It equals ``cop`` if readings have no age.
+        force_aligned: Calibrated channels at the common moment, shape (K,).
+        cop_aligned: Centre of pressure of both feet at that moment in m, in the level frame of ``cop``, shape
+            (2,), NaN if it is not defined.
+        cop_foot_aligned: Centres of pressure in the sole frames at that moment in m, shape (2, 2), NaN if
+            they are not defined.
         undetermined: Posterior variance of each scale as a share of its prior variance, from 0 to 1, shape
             (K,). At 1 the data have not determined the scale. Or ``None``.
         contact_probability: Probability that a foot bears load, shape (2,), or ``None``.
@@ -138,3 +144,6 @@ class Estimate(NamedTuple):
     cop_measured: Array | None = None
     undetermined: Array | None = None
     contact_probability: Array | None = None
+    force_aligned: Array | None = None
+    cop_aligned: Array | None = None
+    cop_foot_aligned: Array | None = None

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from surefoot.calibration.backend import FilterBackend, LibraryFilter, PythonFilter
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.front_end.readings import FrontState
+from surefoot.calibration.front_end.ages import aligned_lag, mean_age
+from surefoot.calibration.front_end.readings import LONGEST_GAP, FrontState
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.native import NativeFilter, ReferenceRecord, native_filter
 from surefoot.calibration.online import MethodOptions, online_method, resolve_method
@@ -145,6 +146,7 @@ class FootCalibrator(OfOneVersion):
         raw: ArrayLike,
         reference: Reference | MomentumReference | ReferenceRecord,
         dt: float | None = None,
+        age: ArrayLike | None = None,
     ) -> Estimate:
         """Process one sample.
 
@@ -153,6 +155,9 @@ class FootCalibrator(OfOneVersion):
             reference: The robot's state estimate ``lag`` samples ago. The method ``"moment"`` also takes a
                 :class:`~surefoot.calibration.MomentumReference`.
             dt: Time since the last sample in s, by default the nominal time.
+            age: Age of each reading in s, shape (K,), from a device that reports when it converted: the time
+                from the middle of the conversion until now. NaN or ``None`` stands for the mean ``age`` of
+                :class:`~surefoot.calibration.online.OnlineSetup`.
 
         Returns:
             The calibrated sample.
@@ -164,7 +169,23 @@ class FootCalibrator(OfOneVersion):
         if self._curves is not None:
             self.setup.layout.check_reading(raw)
             raw = self._curves.straighten(raw)
-        return self._backend.update(raw, reference, self.setup.dt if dt is None else dt)
+        dt = self.setup.dt if dt is None else dt
+        if age is None:
+            return self._backend.update(raw, reference, dt)
+        if np.shape(age) != raw.shape:
+            raise ValueError(
+                f"'age' must hold one age in s for each of the {self.setup.layout.channels} channels, "
+                f"got shape {np.shape(age)}."
+            )
+        late = np.asarray(age, dtype=np.float64) - mean_age(self.setup)
+        # Readings of the future and of hours ago are errors of a clock.
+        known = np.abs(late) <= LONGEST_GAP * self.setup.dt
+        return self._backend.update(raw, reference, dt, np.where(known, late, 0.0))
+
+    @property
+    def aligned_lag(self) -> int:
+        """How many samples ago the common moment of the aligned values of an estimate was."""
+        return aligned_lag(self.setup)
 
     @property
     def library(self) -> Library | None:

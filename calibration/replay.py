@@ -55,7 +55,8 @@ def replay(
             returned are those of the unfiltered readings.
         watch: Iterates over the sample numbers, for example to show progress.
         options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
-            method.
+            method. An ``age`` of shape (N, K) holds the age of each reading in s, of a device that reports
+            when it converted.
 
     Returns:
         The estimates of all samples, with N rows in each field.
@@ -72,6 +73,9 @@ def replay(
         cutoff = options.pop("cutoff", None) or PAPER_CUTOFF
         if "cutoff" in getattr(method_entry(name).config, "__dataclass_fields__", {}):
             options["cutoff"] = None
+    ages = np.asarray(options.get("age", 0.0), dtype=np.float64)
+    if each := ages.shape == readings.shape and ages.ndim == 2:
+        options["age"] = np.maximum(np.nanmean(ages, axis=0), 0.0)
     calibrator = FootCalibrator(layout, name, mass=mass, initial=initial, dt=nominal, lag=lag, **options)
     front_end = FrontEnd(calibrator.setup)
     learnt_from, learnt_with = readings, log
@@ -80,7 +84,8 @@ def replay(
         learnt_with = _filter_accelerations(log, cutoff, nominal)
     rows = RowCollector(len(readings), held=("covariance",))
     for k in watch(range(len(readings))):
-        rows.put(k, calibrator.update(learnt_from[k], take_rows(learnt_with, k), float(steps[k])))
+        sample = learnt_from[k], take_rows(learnt_with, k), float(steps[k])
+        rows.put(k, calibrator.update(*sample, age=ages[k] if each else None))
     estimate: Estimate = rows.collect()
     return estimate if cutoff is None else _estimate_by_maps(front_end, readings, log, steps, estimate)
 

@@ -1050,12 +1050,14 @@ SF_API void sf_moment_estimate(const sf_config *c, const sf_moment_config *m, co
     const sf_real *F0 = sample->force, *S = s->covariance;
     const sf_channel_faults *faults = &s->faults;
     sf_real a[SF_CHANNELS], b[SF_CHANNELS], force[SF_CHANNELS], moved[SF_CHANNELS], change[SF_CHANNELS];
+    sf_real aligned[SF_CHANNELS];
     sf_real rows[3 * SF_CHANNELS], turned[2][2 * SF_CHANNELS], found[3];
     sf_level_rows(c, s->front.motion, rows);
     sf_line(c, &s->published, a, b);
     for (int i = 0; i < K; i++) {
         force[i] = a[i] * F0[i] + b[i];
         moved[i] = a[i] * sample->change[i];
+        aligned[i] = a[i] * sample->aligned[i] + b[i];
         out->scale[i] = a[i] * c->scale[i];
         out->offset[i] = a[i] * (c->offset[i] - s->shift[i]) + b[i];
         out->flags[i] = sample->flags[i] | s->status | worse;
@@ -1063,6 +1065,7 @@ SF_API void sf_moment_estimate(const sf_config *c, const sf_moment_config *m, co
     for (int i = 0; i < K; i++) {
         out->force[i] = faults->altered ? sf_dot(faults->spare + i * K, force, K) : force[i];
         change[i] = faults->altered ? sf_dot(faults->spare + i * K, moved, K) : moved[i];
+        out->force_aligned[i] = faults->altered ? sf_dot(faults->spare + i * K, aligned, K) : aligned[i];
     }
     sf_real load = sf_report_now(c, &s->front, rows, change, out);
     if (!out->cop_valid) load = 1;
@@ -1794,7 +1797,7 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
     if (guilty < 0) {
         for (int i = 0; i < K; i++) {
             sf_real variance = sf_power2(s->published.mean[i] * leap->std[i]), by = leap->reading[i] * c->weight;
-            for (int t = 0; t <= c->kept; t++) s->front.history[t * 2 * K + i] -= by;
+            for (int t = 0; t <= c->kept; t++) s->front.history[t * 3 * K + i] -= by;
             s->shift[i] += by;
             for (int j = 0; j < SF_MODES; j++) s->belief.covariance[j * N * N + (2 * K + i) * (N + 1)] += variance;
         }
@@ -1948,9 +1951,9 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
 
 /* Blocks.collect: put a sample to those that wait. */
 SF_API void sf_collect(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, const sf_reference *reference,
-                       sf_real dt) {
+                       const sf_real *past, sf_real dt) {
     int K = c->channels;
-    const sf_real *motion = s->front.motion, *past = sf_past(c, &s->front);
+    const sf_real *motion = s->front.motion;
     sf_real asked[3], *row;
     sf_pose pose;
     if (reference->momentum) sf_follow_momentum(c, &s->track, motion, &pose);
@@ -1966,7 +1969,7 @@ SF_API void sf_collect(const sf_config *c, const sf_moment_config *m, sf_moment_
     s->waiting++;
     for (int i = 0; i < K; i++) {
         row[i] = past[i] / c->weight;
-        row[K + i] = (sf_real)(past[K + i] > (sf_real)0.5);
+        row[K + i] = past[K + i];
     }
     sf_copy(row + sf_at_end(c), pose.end, 3);
     sf_copy(row + sf_at_com(c), pose.com, 3);
@@ -2008,11 +2011,11 @@ SF_API int sf_moment_step(const sf_config *c, const sf_moment_config *m, sf_mome
         if (s->track.samples) sf_moment_retract(c, m, s);
         s->status = SF_REJECTED;
     } else if (!sample.sound || sample.gap) sf_break(c, m, s);
-    else sf_collect(c, m, s, reference, dt);
+    else sf_collect(c, m, s, reference, sample.past, dt);
     if (c->kept > 1) {
-        /* Of what was read last nobody knows yet whether it stays. */
-        sf_real *row = s->front.history + (c->kept - 1) * 2 * K;
-        sf_smooth(c, row - 2 * K, row, row + 2 * K, c->weight);
+        /* The newest reading may still turn out to be an outlier. */
+        sf_real *row = s->front.history + (c->kept - 1) * 3 * K;
+        sf_smooth(c, row - 3 * K, row, row + 3 * K, c->weight);
     }
     estimate->nis = (sf_real)NAN;
     estimate->nis_rows = 0;

@@ -127,12 +127,13 @@ enum { SF_FX, SF_FY, SF_FZ, SF_MX, SF_MY, SF_MZ };
 
 /* Constants of one robot: an OnlineSetup, and how its cells stand in for each other. K channels; units as in Python. */
 typedef struct {
-    int channels, feet, lag, kept;
+    int channels, feet, lag, kept, aligned_lag;
     int foot_of_channel[SF_CHANNELS];
     int cells[SF_CHANNELS]; /* 1 for a cell under a plate: others cannot be reconstructed */
     int together[SF_CHANNELS * SF_CHANNELS]; /* 1 for two cells of one plate */
     sf_real dt, weight, mass, gravity, length, reach, force_threshold, longest_silence;
-    sf_real carried[SF_CHANNELS]; /* by how long each is carried on to now in s; 0 for readings without an age */
+    sf_real carried[SF_CHANNELS]; /* by how long each is extrapolated to now in s; 0 for readings without an age */
+    sf_real age[SF_CHANNELS];     /* mean age of readings in s */
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
     sf_real leap, leap_alone[SF_CHANNELS], landing_kept, renewal;
@@ -150,8 +151,9 @@ typedef struct {
 
 /* What the way of a sample remembers, with any method: FrontState. */
 typedef struct {
-    sf_real raw[SF_CHANNELS], history[(SF_LAG + 1) * 2 * SF_CHANNELS], motion[SF_MOTION];
+    sf_real raw[SF_CHANNELS], history[(SF_LAG + 1) * 3 * SF_CHANNELS], motion[SF_MOTION];
     sf_real silent[SF_CHANNELS]; /* time in s since each channel was last read */
+    sf_real late[SF_CHANNELS]; /* by how much the coming readings are older than their mean age in s; 0 if not known */
     sf_whole known, clean;
 } sf_front;
 
@@ -160,6 +162,8 @@ typedef struct {
     sf_real dt, force[SF_CHANNELS];
     sf_whole flags[SF_CHANNELS];
     sf_real change[SF_CHANNELS]; /* by how much they are expected to have changed until now */
+    sf_real past[2 * SF_CHANNELS]; /* what the reference describes: forces, and whether each was read (0 or 1) */
+    sf_real aligned[SF_CHANNELS]; /* forces of all channels at one moment, `aligned_lag` samples ago */
     int read[SF_CHANNELS], sound, gap, good; /* a good reference; a clock that jumped; all to be learnt from */
 } sf_sample;
 
@@ -181,6 +185,7 @@ typedef struct {
     sf_real force[SF_CHANNELS], wrench[SF_FEET * 6], vgrf[SF_FEET], cop[2], cop_measured[2], cop_foot[SF_FEET * 2];
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], force_std[SF_CHANNELS], cop_covariance[4], nis, nis_rows;
     sf_real undetermined[SF_CHANNELS], contact_probability[SF_FEET]; /* NaN of methods that do not weigh them */
+    sf_real force_aligned[SF_CHANNELS], cop_aligned[2], cop_foot_aligned[SF_FEET * 2];
     sf_whole flags[SF_CHANNELS];
     unsigned char cop_valid, cop_foot_valid[SF_FEET];
 } sf_estimate;
@@ -190,7 +195,7 @@ SF_API int sf_motion(const sf_config *c) { return 15 + 12 * c->feet; }
 /* Return whether a robot fits into the arrays, with any method. */
 SF_API int sf_robot_fits(const sf_config *c) {
     int fits = c->channels >= 1 && c->channels <= SF_CHANNELS && c->feet >= 1 && c->feet <= SF_FEET &&
-               c->lag >= 0 && c->lag <= c->kept && c->kept <= SF_LAG;
+               c->lag >= 0 && c->lag <= c->kept && c->aligned_lag >= 0 && c->aligned_lag <= c->kept && c->kept <= SF_LAG;
     for (int i = 0; fits && i < c->channels; i++)
         fits = c->foot_of_channel[i] >= 0 && c->foot_of_channel[i] < c->feet &&
                (c->carried[i] == 0 || c->kept >= SF_SLOPE_SAMPLES);
@@ -412,9 +417,23 @@ SF_API void sf_check(const sf_config *c, sf_front *s, const sf_real *raw, const 
     s->known = s->known || sample->sound;
 }
 
-/* What the reference describes: K forces by the starting map, and which of them were read. */
-SF_API const sf_real *sf_past(const sf_config *c, const sf_front *s) {
-    return s->history + (c->kept - c->lag) * 2 * c->channels;
+/* ages.force_at: K forces some samples ago, interpolated between the readings around then. */
+SF_API void sf_force_at(const sf_config *c, const sf_front *s, int back, const sf_real *delay, sf_real *force) {
+    int K = c->channels;
+    for (int i = 0; i < K; i++) {
+        const sf_real *row = s->history + c->kept * 3 * K + i;
+        sf_real moment = -(sf_real)back * c->dt + (delay ? delay[i] : 0), later = 0, force_later = 0;
+        int found = 0, after = 0;
+        force[i] = row[-back * 3 * K];
+        for (int t = 0; t <= c->kept && !found; t++, row -= 3 * K) {
+            sf_real time = -(sf_real)t * c->dt - row[2 * K];
+            if (!(row[K] > (sf_real)0.5)) continue;
+            found = time <= moment;
+            if (found) force[i] = row[0] + (after ? (moment - time) / (later - time) : 0) * (force_later - row[0]);
+            else after = 1, later = time, force_later = row[0];
+        }
+        if (!found && after) force[i] = force_later;
+    }
 }
 
 /* expected_change: by how much forces have changed since they were read, in N. */
@@ -423,9 +442,11 @@ SF_API void sf_expected_change(const sf_config *c, const sf_front *s, sf_real dt
     for (int i = 0; i < K; i++) {
         change[i] = 0;
         if (back >= 0 && c->carried[i] > 0 && s->clean >= SF_SLOPE_SAMPLES) {
-            const sf_real *newest = s->history + c->kept * 2 * K, *before = s->history + back * 2 * K;
-            if (newest[K + i] > (sf_real)0.5 && before[K + i] > (sf_real)0.5)
-                change[i] = c->carried[i] * ((newest[i] - before[i]) / (SF_SLOPE_SAMPLES * sf_max(dt, c->dt)));
+            const sf_real *newest = s->history + c->kept * 3 * K + i, *before = s->history + back * 3 * K + i;
+            sf_real interval = sf_max(dt, c->dt);
+            sf_real passed = sf_max(SF_SLOPE_SAMPLES * interval - newest[2 * K] + before[2 * K], interval);
+            if (newest[K] > (sf_real)0.5 && before[K] > (sf_real)0.5)
+                change[i] = (c->carried[i] + newest[2 * K]) * ((newest[0] - before[0]) / passed);
         }
     }
 }
@@ -434,13 +455,22 @@ SF_API void sf_expected_change(const sf_config *c, const sf_front *s, sf_real dt
    learnt from. */
 SF_API void sf_align(const sf_config *c, sf_front *s, sf_sample *sample) {
     int K = c->channels;
-    sf_real *newest = s->history + c->kept * 2 * K;
-    const sf_real *past = sf_past(c, s);
-    memmove(s->history, s->history + 2 * K, (size_t)(c->kept * 2 * K) * sizeof(sf_real));
+    sf_real *newest = s->history + c->kept * 3 * K;
+    const sf_real *read = newest - (c->lag * 3 - 1) * K;
+    memmove(s->history, s->history + 3 * K, (size_t)(c->kept * 3 * K) * sizeof(sf_real));
     sf_copy(newest, sample->force, K);
-    for (int i = 0; i < K; i++) newest[K + i] = (sf_real)sample->read[i];
+    for (int i = 0; i < K; i++) {
+        newest[K + i] = (sf_real)sample->read[i];
+        newest[2 * K + i] = s->late[i];
+        s->late[i] = 0;
+    }
+    sf_force_at(c, s, c->lag, 0, sample->past);
+    sf_force_at(c, s, c->aligned_lag, c->age, sample->aligned);
     sample->good = sample->sound && !sample->gap;
-    for (int i = 0; i < K; i++) sample->good = sample->good && past[K + i] > (sf_real)0.5;
+    for (int i = 0; i < K; i++) {
+        sample->past[K + i] = (sf_real)(read[i] > (sf_real)0.5);
+        sample->good = sample->good && read[i] > (sf_real)0.5;
+    }
     s->clean = sample->good ? s->clean + 1 : 0;
     sf_expected_change(c, s, sample->dt, sample->change);
 }
@@ -475,24 +505,25 @@ SF_API sf_real sf_report(const sf_config *c, const sf_front *s, const sf_real *r
     return load;
 }
 
-/* The same of forces that are carried on to now; `change`: each by itself in N, which becomes that with which the
-   vertical force stays as it was read (with_total_kept). */
-SF_API sf_real sf_report_now(const sf_config *c, const sf_front *s, const sf_real *rows, sf_real *change,
+/* The same, with the common centre of pressure extrapolated to now, and all of them at the moment of aligned forces,
+   which are in `out`. change: of each force until now in N (with_total_kept). */
+SF_API sf_real sf_report_now(const sf_config *c, const sf_front *s, const sf_real *rows, const sf_real *change,
                              sf_estimate *out) {
     int K = c->channels;
-    sf_real load = sf_report(c, s, rows, out), room = 0, excess = 0, measured[2];
+    sf_real load, room = 0, excess = 0, now[SF_CHANNELS];
+    sf_estimate other = *out;
+    sf_copy(other.force, out->force_aligned, K);
+    sf_report(c, s, rows, &other);
+    sf_copy(out->cop_aligned, other.cop, 2);
+    sf_copy(out->cop_foot_aligned, other.cop_foot, 2 * c->feet);
     for (int i = 0; i < K; i++) {
         room += rows[i] * change[i] * change[i] * rows[i];
         excess += rows[i] * change[i];
     }
-    if (!(room > 0)) return load;
-    for (int i = 0; i < K; i++) {
-        change[i] -= rows[i] * change[i] * change[i] * (excess / room);
-        out->force[i] += change[i];
-    }
-    sf_copy(measured, out->cop, 2);
     load = sf_report(c, s, rows, out);
-    sf_copy(out->cop_measured, measured, 2);
+    if (!(room > 0) || !out->cop_valid) return load;
+    for (int i = 0; i < K; i++) now[i] = out->force[i] + change[i] - rows[i] * change[i] * change[i] * (excess / room);
+    for (int axis = 0; axis < 2; axis++) out->cop[axis] = sf_dot(rows + (1 + axis) * K, now, K) / sf_dot(rows, now, K) + 0;
     return load;
 }
 

@@ -92,6 +92,7 @@ SF_API void sf_corrected(const sf_config *c, const sf_front *s, const sf_sample 
     for (int i = 0; i < c->channels; i++) {
         change[i] = a[i] * sample->change[i];
         out->force[i] = a[i] * sample->force[i] + b[i];
+        out->force_aligned[i] = a[i] * sample->aligned[i] + b[i];
         out->scale[i] = a[i] * c->scale[i];
         out->offset[i] = a[i] * c->offset[i] + b[i];
         out->flags[i] = sample->flags[i] | status;
@@ -110,9 +111,8 @@ SF_API sf_real sf_length(const sf_real *v) { return sf_sqrt(v[0] * v[0] + v[1] *
 
 /* QuietStanding.update: take in one sample that is held against (Fz, px, py) = asked. */
 SF_API void sf_stand(const sf_config *c, const sf_window_config *w, const sf_front *front, sf_standing *s,
-                     int usable, const sf_real *asked, sf_real dt, sf_window_work *work) {
+                     const sf_real *force, int usable, const sf_real *asked, sf_real dt, sf_window_work *work) {
     int K = c->channels, n = 2 * K + 3, quiet;
-    const sf_real *force = sf_past(c, front);
     sf_real rows[3 * SF_CHANNELS], total[3], *J = work->J;
     int warm = s->time >= w->warm_up - 1e-9;
     s->time += (double)dt;
@@ -152,7 +152,7 @@ SF_API void sf_window_stand(const sf_config *c, const sf_window_config *w, sf_wi
     sf_standing *stand = &s->standing;
     sf_real asked[3];
     int physical = sf_ground(c, s->front.motion, w->quasi_static, asked);
-    sf_stand(c, w, &s->front, stand, sample->good && physical, asked, sample->gap ? c->dt : dt, work);
+    sf_stand(c, w, &s->front, stand, sample->past, sample->good && physical, asked, sample->gap ? c->dt : dt, work);
     leaving = stand->time > w->patience;
     for (int foot = 0; foot < c->feet; foot++) leaving = leaving || (reference->swing[foot] && sample->sound);
     leaving = leaving && !s->walking;
@@ -353,7 +353,7 @@ SF_API void sf_window_step(const sf_config *c, const sf_window_config *w, sf_win
         s->started = 0;
     }
     memmove(s->pending, s->pending + width, (size_t)((w->every - 1) * width) * sizeof(sf_real));
-    sf_copy(newest, sf_past(c, &s->front), K);
+    sf_copy(newest, sample.past, K);
     sf_copy(newest + K, s->front.motion, R);
     newest += K + R;
     for (int foot = 0; foot < feet; foot++) {
@@ -397,10 +397,10 @@ SF_API void sf_tare_step(const sf_config *c, const sf_tare_config *t, sf_tare_st
     for (int foot = 0; foot < c->feet; foot++) hangs[foot] = 1;
     for (int i = 0; i < K; i++) {
         int foot = c->foot_of_channel[i], used;
-        sf_real past = sf_past(c, &s->front)[i], before = s->mean[i], number;
+        sf_real past = sample.past[i], before = s->mean[i], number;
         /* Across a gap the foot may have stood: what was counted before is not of this swing. */
         s->airborne[i] = reference->swing[foot] && sample.sound ? (sample.gap ? 0 : s->airborne[i]) + 1 : 0;
-        used = s->airborne[i] > t->settle && sf_past(c, &s->front)[K + i] > (sf_real)0.5;
+        used = s->airborne[i] > t->settle && sample.past[K + i] > (sf_real)0.5;
         if (s->airborne[i] == 1) s->count[i] = 0;
         /* Welford's running mean and scatter of this swing. */
         if (s->count[i] == 0) before = s->scatter[i] = 0;

@@ -7,10 +7,10 @@
   b, so that a is near 1 and b near 0 N.
 * **Lag.** The reference given now describes the foot sample of ``lag`` samples ago, so forces wait that
   long before they are compared. The map that is learnt applies to the newest reading.
-* **Age.** Forces that are older when they are read are carried on to now
-  (:mod:`surefoot.calibration.front_end.ages`).
-* **Silence.** A held reading says nothing of a load that has changed since. After :data:`LONGEST_SILENCE`
-  without a reading of a channel its foot has no centre of pressure, and neither have all feet together.
+* **Age.** Readings are interpolated to one moment, and extrapolated to now for the centre of pressure of all
+  feet together (:mod:`surefoot.calibration.front_end.ages`).
+* **Silence.** The load may have changed since a held reading. After :data:`LONGEST_SILENCE` without a reading
+  of a channel its foot has no centre of pressure, and neither have all feet together.
 * **Linear rows.** The level wrench of the feet is linear in the channels: (Fz, Fz px, Fz py) = rows @ F.
 """
 
@@ -23,8 +23,11 @@ from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.ages import (
     SLOPE_SAMPLES,
+    aligned_lag,
     change_since_reading,
     extrapolation_time,
+    force_at,
+    mean_age,
     with_total_kept,
 )
 from surefoot.calibration.front_end.motion import LARGEST_REFERENCE, Motions
@@ -48,19 +51,23 @@ class FrontState(NamedTuple):
 
     raw: Array  # last good reading of each channel, shape (K,)
     history: Array
-    """The last ``lag`` + 1 samples, four at least where readings have an age, oldest first: F0 and whether it
-    was read, shape (lag + 1, 2K)."""
+    """The last samples, oldest first: F0, whether it was read, and by how much it was older than usual in s,
+    shape (kept + 1, 3K)."""
     motion: Array  # the last good reference, flat, shape (R,)
     known: bool  # whether any reference was good so far
     clean: int  # good samples since the last bad one
     silent: Array  # time in s since each channel was last read, at most an hour, shape (K,)
+    late: Array
+    """By how much the coming sample's readings are older than their mean age in s, shape (K,): 0 unless the
+    device reports when it converted."""
 
 
 class Sample(NamedTuple):
     """One sample, checked and aligned; F feet."""
 
     force: Array  # newest force by the starting map, F0, in N, shape (K,)
-    ahead: Array | None  # the same carried on to now; ``None`` where readings have no age
+    ahead: Array | None  # the same extrapolated to now; ``None`` where readings have no age
+    aligned: Array  # F0 of all channels at the moment ``aligned_lag`` samples ago, shape (K,)
     rows: Array  # rows of (Fz, Fz px, Fz py) of each foot by channel in the level frame, shape (F, 3, K)
     past: Array  # F0 at the time that the reference describes, shape (K,)
     read: Array  # whether ``past`` was read and not held (bool), shape (K,)
@@ -79,15 +86,30 @@ class Sample(NamedTuple):
 class FrontEnd:
     """The way of a sample for one setup: pure functions that share constants.
 
-    Arguments are those of :class:`~surefoot.calibration.front_end.motion.Motions`. ``plausible`` are the
-    least and the greatest reading of each channel that is not taken for an error, (K,) each; ``carried`` by
-    how many s each is carried on to now, (K,); ``kept`` how many samples before the newest one are
-    remembered; ``limits`` the bounds of the leaves of a :class:`FrontState`; ``longest_silence`` the time
-    in s for which a last reading counts.
+    Further arguments are those of :class:`~surefoot.calibration.front_end.motion.Motions`.
+
+    Args:
+        setup: The robot.
+        extrapolates: Whether the centre of pressure of all feet together is extrapolated to now.
+
+    Attributes:
+        plausible: Least and greatest reading of each channel that does not count as an error, (K,) each.
+        carried: By how many s each channel is extrapolated to now, (K,).
+        age: Mean age of readings in s, (K,).
+        aligned_lag: How many samples ago the moment of aligned forces was.
+        kept: How many samples before the newest one are stored.
+        limits: The bounds of the leaves of a :class:`FrontState`.
+        longest_silence: Time in s for which a last reading counts.
     """
 
     def __init__(
-        self, setup: OnlineSetup, *, quasi_static: bool = False, imu: bool = True, momentum: bool = False
+        self,
+        setup: OnlineSetup,
+        *,
+        quasi_static: bool = False,
+        imu: bool = True,
+        momentum: bool = False,
+        extrapolates: bool = True,
     ) -> None:
         self.setup = setup
         self.motions = Motions(setup, quasi_static=quasi_static, imu=imu, momentum=momentum)
@@ -102,26 +124,29 @@ class FrontEnd:
         self.limits: dict[str, tuple[Array | float, Array | float]] = {
             "raw": (self.plausible[0] - 0.5 * span, self.plausible[1] + 0.5 * span),
             "history": (-made, made),
+            "late": (-MOST_SILENCE, MOST_SILENCE),
             "motion": (-LARGEST_REFERENCE, LARGEST_REFERENCE),
             "silent": (0.0, MOST_SILENCE),
         }
         self.longest_silence = max(LONGEST_SILENCE, LONGEST_GAP * setup.dt)
         feet = np.arange(len(setup.layout.feet))[:, None]
         self._of_foot = setup.layout.foot_of_channel == feet
-        self.carried = extrapolation_time(setup)
+        self.age, self.aligned_lag = mean_age(setup), aligned_lag(setup)
+        self.carried = extrapolation_time(setup) if extrapolates else np.zeros(self._channels)
         self._aged = bool(self.carried.any())
-        self.kept = max(setup.lag, SLOPE_SAMPLES) if self._aged else setup.lag
+        self.kept = max(setup.lag, SLOPE_SAMPLES * self._aged, self.aligned_lag + 1)
 
     def init(self, raw: Array) -> FrontState:
         """Return the state before any sample, of a reading, (K,), whose values do not matter."""
         self.setup.layout.check_reading(raw)
         return FrontState(
             raw=-self._offset / self._scale,
-            history=np.zeros((self.kept + 1, 2 * self._channels)),
+            history=np.zeros((self.kept + 1, 3 * self._channels)),
             motion=self.motions.resting.copy(),
             known=False,
             clean=0,
             silent=np.zeros(self._channels),
+            late=np.zeros(self._channels),
         )
 
     def check(self, raw: Array, reference: Reference | MomentumReference) -> None:
@@ -152,9 +177,10 @@ class FrontEnd:
         read, held, force, sure = self._read(state, raw, repair)
         passed = dt if 0.0 < dt < MOST_SILENCE else self.setup.dt
         silent = np.where(read, 0.0, np.minimum(state.silent + passed, MOST_SILENCE))
-        history = np.vstack([state.history[1:], np.concatenate([force, sure])])
-        past, past_read = np.split(history[self.kept - self.setup.lag], 2)
-        past_read = past_read > 0.5
+        history = np.vstack([state.history[1:], np.concatenate([force, sure, state.late])])
+        lag, nominal, zero = self.setup.lag, self.setup.dt, np.zeros(self._channels)
+        past = force_at(history, lag, zero, nominal)
+        past_read = history[self.kept - lag, self._channels : 2 * self._channels] > 0.5
 
         flat = self.motions.flatten(reference)
         sound = self.motions.is_sound(flat)
@@ -164,13 +190,14 @@ class FrontEnd:
         ahead = None
         if self._aged:
             # Samples that come late are further apart than they should be.
-            ahead = force + change_since_reading(history, clean, self.carried, max(dt, self.setup.dt))
+            ahead = force + change_since_reading(history, clean, self.carried, max(dt, nominal))
 
         flags = np.where(read, 0, np.where(np.isnan(raw), int(Flag.MISSING), int(Flag.OUT_OF_RANGE)))
         flags = flags | (0 if sound else int(Flag.REFERENCE)) | (int(Flag.GAP) if gap else 0)
         sample = Sample(
             force=force,
             ahead=ahead,
+            aligned=force_at(history, self.aligned_lag, self.age, nominal),
             rows=self.motions.rows(motion),
             past=past,
             read=past_read,
@@ -185,7 +212,7 @@ class FrontEnd:
             gap=gap,
             silent=silent,
         )
-        return FrontState(held, history, motion, known, clean, silent), sample
+        return FrontState(held, history, motion, known, clean, silent, zero), sample
 
     def _read(
         self, state: FrontState, raw: Array, repair: Repair | None
@@ -205,14 +232,14 @@ class FrontEnd:
         status: int = 0,
         covariance: Array | None = None,
     ) -> Estimate:
-        """Apply a correction, a and b in N, shape (K,) each, to the newest forces, carried on to now.
+        """Apply a correction, a and b in N, shape (K,) each, to the newest forces.
 
         All channels share the flags ``status``; the covariance is of (a, b), shape (2K, 2K), if one is
         claimed.
         """
-        force, ahead = (
+        force, ahead, aligned = (
             None if part is None else correction_scale * part + correction_offset
-            for part in (sample.force, sample.ahead)
+            for part in (sample.force, sample.ahead, sample.aligned)
         )
         return self.report(
             sample,
@@ -222,6 +249,7 @@ class FrontEnd:
             status,
             covariance,
             ahead,
+            aligned,
         )
 
     def report(
@@ -233,25 +261,27 @@ class FrontEnd:
         status: Array | int = 0,
         covariance: Array | None = None,
         ahead: Array | None = None,
+        aligned: Array | None = None,
     ) -> Estimate:
         """Make an estimate of calibrated forces: wrenches and centres of pressure.
 
         Forces are in N as they were read, (K,), scale in N per unit of the reading and offset in N at a
         reading of zero; flags of each channel, or of all alike; a covariance of (a, b), (2K, 2K), if the
-        method claims one. ``ahead`` is the same carried on to now, each by itself; ``None`` where readings
-        have no age.
+        method claims one. ``ahead`` is the same extrapolated to now, each by itself; ``None`` where readings
+        have no age. ``aligned`` is the same at the moment ``aligned_lag`` samples ago.
         """
         wrench, moments, cop, loaded = self._centres(sample, force)
-        measured = cop[-1]
+        total = cop[-1]
         if ahead is not None:
             up = sample.rows[:, 0].sum(axis=0)
-            force = force + with_total_kept(ahead - force, up)
-            wrench, moments, cop, loaded = self._centres(sample, force)
+            total = self._centres(sample, force + with_total_kept(ahead - force, up))[2][-1]
+        aligned = force if aligned is None else aligned
+        cop_aligned = self._centres(sample, aligned)[2]
         return Estimate(
             force=force,
             wrench=wrench,
             vgrf=moments[:, 0],
-            cop=cop[-1],
+            cop=total,
             cop_foot=cop[:-1],
             cop_valid=loaded[-1],
             cop_foot_valid=loaded[:-1],
@@ -259,7 +289,10 @@ class FrontEnd:
             offset=offset,
             covariance=covariance,
             flags=sample.flags | status,
-            cop_measured=measured,
+            cop_measured=cop[-1],
+            force_aligned=aligned,
+            cop_aligned=cop_aligned[-1],
+            cop_foot_aligned=cop_aligned[:-1],
         )
 
     def _centres(self, sample: Sample, force: Array) -> tuple[Array, Array, Array, Array]:

@@ -216,9 +216,10 @@ class MomentFilter:
 
         front, sample = self.front_end.observe(state.front, raw, reference, dt, repair)
         if len(front.history) > 2:
-            # Nobody knows yet whether the last reading stays.
+            # The newest reading may still turn out to be an outlier.
             history, weight = front.history.copy(), self.setup.weight
-            history[-2] = self.faults.smooth(history[-3], history[-2], history[-1], weight)
+            before, row, after = history[-3:, : 2 * self._channels]
+            row[:] = self.faults.smooth(before, row, after, weight)
             front = front._replace(history=history)
         # The other channels of a plate stand in for one that is out.
         stands_in = (faults.lost > 0.5) & (self.faults.stand_in.count_lost(faults.lost) < 1.5)
@@ -414,11 +415,13 @@ class MomentFilter:
         setup, faults = self.setup, state.faults
         a, b = self._line(state)
         c, d = a * np.asarray(setup.initial.scale), a * (np.asarray(setup.initial.offset) - state.shift) + b
-        force, ahead = (
-            None if part is None else faults.spare @ (a * part + b) for part in (sample.force, sample.ahead)
+        force, ahead, aligned = (
+            None if part is None else faults.spare @ (a * part + b)
+            for part in (sample.force, sample.ahead, sample.aligned)
         )
         worse = int(Flag.WORSE_THAN_START) if state.versus_start.is_worse else 0
-        estimate = self.front_end.report(sample, force, c, d, kinds | state.status | worse, None, ahead)
+        flags = kinds | state.status | worse
+        estimate = self.front_end.report(sample, force, c, d, flags, None, ahead, aligned)
         learnt = state.covariance
         return estimate._replace(
             **uncertainty(estimate, sample, learnt, faults.spare, faults.spare_std),

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import comparison
 from surefoot.calibration.baselines import SwingTare, tare
-from surefoot.calibration.front_end.ages import as_read
 from surefoot.calibration.front_end.filters import coefficients
 from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.moment import (
@@ -87,7 +86,7 @@ def constants_of(
         window = SlidingWindow(setup, Window(**options), quasi_static=method == "quasi-static")
         front, like, own = window.front_end, window.init(raw), _window(window)
     else:
-        front = FrontEnd(setup if method == "tare" else as_read(setup), imu=False)
+        front = FrontEnd(setup, imu=False, extrapolates=method == "tare")
         like = front.init(raw)
         if method == "tare":
             config = SwingTare(**options)

@@ -34,6 +34,7 @@ class NativeFilter:
             "cop_foot": (F, 2), "scale": (K,), "offset": (K,), "force_std": (K,), "cop_covariance": (2, 2),
             "nis": (), "nis_rows": (), "undetermined": (K,), "contact_probability": (F,), "flags": (K,),
             "cop_valid": (), "cop_foot_valid": (F,),
+            "force_aligned": (K,), "cop_aligned": (2,), "cop_foot_aligned": (F, 2),
         }  # fmt: skip
         state = state_dtype(library, constants.state, self._template)
         estimate = library.record("estimate", shapes)
