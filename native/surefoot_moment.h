@@ -52,7 +52,8 @@ typedef struct {
     sf_real largest_error, level, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load, least_cosine;
     sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
-    sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_tared, largest_sum, touch_load;
+    sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_tared;
+    sf_real loaded[SF_CHANNELS], rough_density, noise_spread, zero_jump, unconfirmed, roughest;
     sf_real level_time, least_still;
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, least_narrower;
@@ -76,7 +77,7 @@ typedef struct {
 
 /* TareState */
 typedef struct {
-    sf_real reading[SF_CHANNELS], moved[SF_CHANNELS], time[SF_FEET], rate;
+    sf_real reading[SF_CHANNELS], moved[SF_CHANNELS], time[SF_FEET], sure[SF_FEET], rough[SF_FEET], rate;
     sf_whole followed;
 } sf_tares;
 
@@ -1107,42 +1108,61 @@ SF_API void sf_moment_estimate(const sf_config *c, const sf_moment_config *m, co
 
 /* --------------------------------------------------------------------------------------------------- tare */
 
-/* Tare._reading: a foot's mean reading in the air, of the channels that are not lost; returns how long it hung in s. */
-SF_API sf_real sf_hanging_reading(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s,
-                                  const sf_tares *tare, int n, int foot, const int *channels, int count, sf_real *reading) {
+/* Swing */
+typedef struct {
+    sf_real reading[SF_CHANNELS], seconds, rough;
+} sf_swing;
+
+/* Tare._read: the readings of a foot in swing, of the channels that are not lost. */
+SF_API void sf_read_swing(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n, int foot,
+                          const int *channels, int count, sf_swing *out) {
     int K = c->channels, wide = sf_waiting(c), at = sf_at_swing(c) + foot, found = 0, sure[SF_BLOCK];
-    sf_real seconds = 0, total = 0, load[SF_BLOCK], least = HUGE_VAL, second = HUGE_VAL, swing = 0;
-    for (int k = 0; k < count; k++) reading[k] = 0;
+    memset(out, 0, sizeof *out);
     for (int t = 0; t < n; t++) {
         const sf_real *row = s->pending + t * wide, *before = t ? row - wide : s->before, *behind = t + 1 < n ? row + wide : row;
         /* The sample before and the one after are in the air as well. */
         sure[t] = row[at] > (sf_real)0.5 && before[at] > (sf_real)0.5 && behind[at] > (sf_real)0.5;
         for (int k = 0; k < count; k++) sure[t] = sure[t] && row[K + channels[k]] > (sf_real)0.5;
-        load[t] = 0;
-        for (int k = 0; k < count; k++) load[t] += row[channels[k]] / m->unit[channels[k]];
         if (!sure[t]) continue;
-        if (load[t] < least) second = least, least = load[t];
-        else if (load[t] < second) second = load[t];
-    }
-    if (second == (sf_real)HUGE_VAL) second = least; /* a single sample */
-    for (int k = 0; k < count; k++) swing += tare->reading[channels[k]] / m->unit[channels[k]];
-    if (tare->time[foot] >= 0 && s->time - tare->time[foot] <= m->least_apart) second = sf_min(second, swing);
-    for (int t = 0; t < n; t++) {
-        const sf_real *row = s->pending + t * wide;
-        if (!sure[t] || !(load[t] <= second + m->touch_load)) continue;
         found++;
-        seconds += row[sf_at_dt(c)];
-        for (int k = 0; k < count; k++) reading[k] += row[channels[k]];
+        out->seconds += row[sf_at_dt(c)];
+        for (int k = 0; k < count; k++) out->reading[k] += row[channels[k]];
     }
-    if (!found || !count) return 0;
+    for (int k = 0; k < count && found; k++) out->reading[k] /= (sf_real)found;
+    for (int t = 0; t < n; t++)
+        for (int k = 0; k < count && sure[t]; k++)
+            out->rough += sf_power2(s->pending[t * wide + channels[k]] - out->reading[k]) / m->tare_variance[channels[k]];
+    if (found && count) out->rough *= out->seconds / (sf_real)(found * (found > 1 ? found - 1 : 1) * count);
+    out->rough = sf_max(out->rough, 1);
+}
+
+/* _log_density of changes, with variances of their own and `more` of each channel's offset. */
+SF_API sf_real sf_log_density(const sf_moment_config *m, const int *channels, int count, const sf_real *change,
+                              const sf_real *variance, sf_real more) {
+    sf_real sum = 0;
     for (int k = 0; k < count; k++) {
-        sf_real unit = m->unit[channels[k]];
-        reading[k] /= (sf_real)found;
-        sf_real change = (reading[k] - tare->reading[channels[k]]) / unit;
-        total += change;
-        if (sf_fabs(change) > m->largest_load) return 0;
+        sf_real spread = variance[k] + more * m->spread_offset[channels[k]];
+        sum += change[k] * change[k] / spread + sf_log((sf_real)(2 * 3.141592653589793) * spread);
     }
-    return sf_fabs(total) <= m->largest_sum ? seconds : 0;
+    return (sf_real)-0.5 * sum;
+}
+
+/* Tare._weigh: the probabilities that a foot in swing is unloaded with the zero in use, that it is unloaded with another
+   one, and that the zero in use is right. */
+SF_API void sf_weigh_swing(const sf_moment_config *m, const int *channels, int count, const sf_real *change,
+                           const sf_real *walked, sf_real rough, sf_real smooth, sf_real sure, sf_real out[3]) {
+    sf_real over = rough / smooth, loaded = m->rough_density, others = 0, sum = 0;
+    sf_real flat = (sf_real)-0.5 * ((sf_real)count * (over - 1 - sf_log(over)) + sf_power2(sf_log(smooth) / m->noise_spread));
+    sure *= 1 - m->zero_jump;
+    for (int i = 0; i < SF_SEVERITIES; i++)
+        others += m->likely[i] * sf_exp(flat + sf_log_density(m, channels, count, change, walked, sf_power2(m->severities[i])));
+    for (int k = 0; k < count; k++) {
+        loaded /= sf_sqrt(m->loaded[channels[k]]);
+        sum += change[k];
+    }
+    sf_real same = sure * sf_exp(flat + sf_log_density(m, channels, count, change, walked, 0)), other = (1 - sure) * others;
+    sf_real right = same + (sum > 0 ? loaded * sure : 0), total = right + other + loaded * (1 - sure); /* load is never negative */
+    out[0] = same / total, out[1] = other / total, out[2] = right / total;
 }
 
 /* Tare._learn_rate: by how many times sensors drift faster than stated. */
@@ -1202,40 +1222,59 @@ SF_API void sf_redefine_drift(const sf_config *c, const sf_moment_config *m, sf_
     }
 }
 
-/* Tare.take: tare the feet that hang in a block. Changes the belief, what is published of drift, and the tares. */
+/* Tare.take: tare the feet that hang in a block. Changes the belief, what is published of drift, and the tares. Returns
+   whether all modes could learn; `wrong` is set if a zero in use turned out to be that of a loaded foot. */
 SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_moment_state *s, int n, sf_real duration,
-                        sf_modes *belief, sf_real *published, sf_tares *tare, sf_moment_work *w) {
+                        sf_modes *belief, sf_real *published, sf_tares *tare, sf_moment_work *w, int *wrong) {
     int K = c->channels, good = 1;
     for (int foot = 0; foot < c->feet; foot++) {
         int channels[SF_CHANNELS], steady[SF_CHANNELS], count = 0, few = 0;
-        sf_real reading[SF_CHANNELS], change[SF_CHANNELS], walked[SF_CHANNELS], variance[SF_CHANNELS];
+        sf_real change[SF_CHANNELS], walked[SF_CHANNELS], variance[SF_CHANNELS], sum = 0, odds[3];
         sf_real before[SF_CHANNELS], asked[SF_CHANNELS], unsure[SF_CHANNELS], last = tare->time[foot];
+        sf_swing swing;
         for (int i = 0; i < K; i++)
             if (c->foot_of_channel[i] == foot && s->faults.lost[i] < (sf_real)0.5) channels[count++] = i;
-        sf_real seconds = sf_hanging_reading(c, m, s, tare, n, foot, channels, count, reading);
-        if (!(seconds >= m->tare_share * duration)) continue;
+        sf_read_swing(c, m, s, n, foot, channels, count, &swing);
+        if (!count || !(swing.seconds >= m->tare_share * duration)) continue;
+        sf_real smooth = tare->rough[foot] = sf_max(sf_min(tare->rough[foot], swing.rough), 1);
         for (int k = 0; k < count; k++) {
             int i = channels[k];
-            sf_real noise = m->tare_variance[i] / seconds, shown = last < 0 ? reading[k] : tare->reading[i] + tare->moved[i];
-            change[k] = last < 0 ? 0 : reading[k] - tare->reading[i];
-            walked[k] = 2 * noise + tare->rate * tare->rate * m->walk[K + i] * (s->time - last);
-            variance[k] = published[i] * published[i] * noise;
-            /* A zero that leapt says nothing of the time since. */
-            if (last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k]) continue;
-            steady[few] = i, before[few] = shown, asked[few] = -published[i] * (reading[k] - shown), unsure[few++] = variance[k];
+            change[k] = last < 0 ? swing.reading[k] : swing.reading[k] - tare->reading[i];
+            walked[k] = 2 * smooth * m->tare_variance[i] / swing.seconds +
+                        tare->rate * tare->rate * m->walk[K + i] * (s->time - last);
+            sum += change[k];
         }
-        if (last >= 0 && s->time - last > m->least_apart) {
+        sf_weigh_swing(m, channels, count, change, walked, swing.rough, smooth, tare->sure[foot], odds);
+        if (odds[0] + odds[1] < (sf_real)0.5) {
+            tare->sure[foot] = odds[2];
+            continue;
+        }
+        int again = last >= 0 && s->time - last > m->least_apart, other = odds[1] > odds[0];
+        if (last >= 0 && other && sum < 0 && tare->sure[foot] <= m->unconfirmed) *wrong = 1;
+        for (int k = 0; k < count; k++) {
+            int i = channels[k];
+            sf_real shown = last < 0 ? swing.reading[k] : tare->reading[i] + tare->moved[i];
+            sf_real noise = smooth * m->tare_variance[i] / swing.seconds + (1 - odds[0] - odds[1]) * m->loaded[i];
+            variance[k] = published[i] * published[i] * noise;
+            /* A zero that jumped says nothing of the time since. */
+            if (last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k]) continue;
+            steady[few] = i, before[few] = shown, asked[few] = -published[i] * (swing.reading[k] - shown);
+            unsure[few++] = variance[k];
+        }
+        if (again) {
             tare->rate = sf_followed_rate(m, tare, change, walked, count);
             tare->followed++;
         }
         good = sf_learn_tare(c, m, belief, steady, few, before, asked, unsure, w) && good;
-        if (last >= 0) sf_redefine_drift(c, m, belief, channels, count, reading, variance);
+        if (last >= 0) sf_redefine_drift(c, m, belief, channels, count, swing.reading, variance);
         for (int k = 0; k < count; k++) {
             int i = channels[k];
-            published[2 * K + i] = -published[i] * reading[k] - published[K + i];
-            tare->reading[i] = reading[k], tare->moved[i] = 0;
+            published[2 * K + i] = -published[i] * swing.reading[k] - published[K + i];
+            tare->reading[i] = swing.reading[k], tare->moved[i] = 0;
         }
         tare->time[foot] = s->time;
+        if (other) tare->sure[foot] = sf_min(odds[1], m->unconfirmed);
+        else if (again) tare->sure[foot] = odds[0];
     }
     return good;
 }
@@ -1358,7 +1397,8 @@ SF_API void sf_repeat_tares(const sf_config *c, const sf_moment_config *m, sf_mo
     for (int i = 0; i < c->channels; i++) {
         sf_real last = s->tare.time[c->foot_of_channel[i]];
         if (last < 0 || s->faults.lost[i] > (sf_real)0.5) continue;
-        noise[count] = m->tare_variance[i] / m->block;
+        noise[count] = s->tare.rough[c->foot_of_channel[i]] * m->tare_variance[i] / m->block;
+        noise[count] += (1 - s->tare.sure[c->foot_of_channel[i]]) * m->loaded[i];
         noise[count] += s->tare.rate * s->tare.rate * m->walk[c->channels + i] * (s->time - last);
         reading[count] = s->tare.reading[i] + s->tare.moved[i];
         channels[count++] = i;
@@ -1406,7 +1446,7 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     memset(&s->still, 0, sizeof s->still);
     s->still.time = -1;
     s->tare.rate = m->first_rate;
-    for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1;
+    for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1, s->tare.rough[foot] = m->roughest;
     s->time = 0;
     sf_moment_begin(c, m, s, 1, w);
 }
@@ -1913,7 +1953,13 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
         sf_copy(published, s->published.mean, M);
         tare = s->tare;
         sf_take_still(c, m, s, n, duration, &w->belief, published, &s->still, &tare);
-        int good = sf_take_tare(c, m, s, n, duration, &w->belief, published, &tare, w), flag = good ? 0 : SF_SINGULAR;
+        int wrong = 0, good = sf_take_tare(c, m, s, n, duration, &w->belief, published, &tare, w, &wrong);
+        int flag = good ? 0 : SF_SINGULAR;
+        if (wrong) {
+            s->tare = tare;
+            sf_moment_begin(c, m, s, tare.rate, w);
+            return;
+        }
         if (out) {
             /* Nothing stands in for two cells of a plate; zeros are seen without them. */
             sf_copy(s->published.mean, published, M);

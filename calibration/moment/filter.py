@@ -30,7 +30,7 @@ from surefoot.calibration.moment.modes import (
 from surefoot.calibration.moment.motion import Track
 from surefoot.calibration.moment.repairs import Repairs
 from surefoot.calibration.moment.reweigh import reweigh
-from surefoot.calibration.moment.severity import FIRST_RATE, Severity, Weighed
+from surefoot.calibration.moment.severity import Severity, Weighed
 from surefoot.calibration.moment.state import (
     Belief,
     Kept,
@@ -106,7 +106,7 @@ class MomentFilter:
     def __init__(self, setup: OnlineSetup, config: Moment) -> None:
         self.setup, self.config = setup, config
         layout = setup.layout
-        self._channels, self._feet = layout.channels, len(layout.feet)
+        self._channels = layout.channels
         self.columns = columns = Columns.of(layout)
         self.spread = spread = Spread.of(setup, config)
         self.front_end = FrontEnd(setup, imu=False, momentum=True)
@@ -137,7 +137,7 @@ class MomentFilter:
 
     def init(self, raw: Array) -> MomentState:
         """Return the state before any sample; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
-        front, columns, feet = self.front_end.init(raw), self.columns, self._feet
+        front, columns = self.front_end.init(raw), self.columns
         means, covariances = [], []
         for mode in MODES:
             mean, covariance = self._first_mean.copy(), np.diag(self.first_variance)
@@ -148,7 +148,7 @@ class MomentFilter:
         belief = Belief(np.stack(means), np.stack(covariances), FIRST_CHANCE.copy())
         published = self._weigh(belief, 0.0).publish(belief.chance)
         zero = np.zeros(self._channels)
-        tare = TareState(zero, zero, np.full(feet, -1.0), FIRST_RATE, 0)
+        tare = self.tare.init()
         resting = np.asarray(self.setup.initial.scale) * front.raw + np.asarray(self.setup.initial.offset)
         return MomentState(
             front=front,
@@ -296,7 +296,11 @@ class MomentFilter:
             block, state.time, state.belief, known, state.still, state.tare, faults.lost
         )
         state = state._replace(still=still)
-        belief, published, tare = self.tare.take(block, state.time, belief, known, tare, faults.lost)
+        belief, published, tare, wrong_zero = self.tare.take(
+            block, state.time, belief, known, tare, faults.lost
+        )
+        if wrong_zero:
+            return self._begin_again(state._replace(tare=tare), faults), np.nan, 0.0
         if (self.faults.stand_in.count_lost(faults.lost) > 1.5).any():
             # Nothing stands in for two cells of a plate; zeros are seen without them.
             zeros = state.published._replace(mean=published)

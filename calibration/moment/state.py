@@ -33,6 +33,8 @@ class TareState(NamedTuple):
     reading: Array  # mean reading of each channel in W, shape (K,)
     moved: Array  # by how much readings have moved since while the robot stood still, in W, shape (K,)
     time: Array  # when it ended in s, -1 before the first, shape (F,)
+    sure: Array  # probability that the foot was unloaded then, shape (F,)
+    rough: Array  # roughness of the readings of an unloaded foot, 1 as stated, shape (F,)
     rate: float  # by how many times sensors drift faster than stated
     followed: int  # from how many tares that was learnt
 

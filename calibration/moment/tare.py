@@ -1,17 +1,30 @@
-r"""A foot in the air shows its zeros.
+r"""A foot in the air shows its zeros, if nothing is borne.
 
-Its mean reading r obeys a r + b + u = 0, where the zero's drift u is 0 at the start, so that the first tare
-ties b to a. From then on u is *defined* by it, u = -(a r + b): learnt from this row, drift would say that a
-scale is small. What it says of the time since the last tare, at which r0 was read, is a force that must have
-drifted away,
+The mean reading r of an unloaded channel obeys a r + b + u = 0, where the drift u of the zero is 0 at the
+start, so that the first tare ties b to a. From then on u is *defined* as -(a r + b). Estimating it from this
+row would bias the scale down. The change since the last tare, with reading r0, only shows the force that the
+zero has drifted by,
 
     a r0 + b + u = -a (r - r0),
 
-with the published a on the right; a zero that leaps says nothing. From tare to tare the readings show how
-fast zeros drift, and scales are thought to drift with them.
+with the published a on the right.
+
+The reference reports a swing where a foot's lowest part is higher than that of another foot. On soft ground or
+under a rolling sole such a foot may bear load. Whether it does is a matter of evidence: of the readings
+
+* their **roughness** v, the variance within a block over that of the noise. The load of a foot that touches the
+  ground varies much more than the noise of a reading,
+* their **change** since the last tare, compared with drift and noise, or before the first tare their distance
+  from the starting map, compared with the offsets expected. A load changes them by any amount, and only upwards.
+
+A row enters with the variance that it may be loaded after all, so that a doubtful tare changes little. The zero
+in use has a probability of its own. A likelier one replaces it, and if the replaced one was too high, which a
+load explains and was never confirmed by another swing, then the filter begins again. From tare to tare the
+readings show how fast zeros drift, and scales are assumed to drift in proportion.
 """
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,38 +33,47 @@ from surefoot.calibration.arrays import Array
 from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Columns, Spread
 from surefoot.calibration.moment.config import Moment
+from surefoot.calibration.moment.health import MOST_LOAD
 from surefoot.calibration.moment.modes import update
+from surefoot.calibration.moment.severity import FIRST_RATE, LIKELY, SEVERITIES
 from surefoot.calibration.moment.state import Belief, TareState
 from surefoot.calibration.setup import OnlineSetup
 
-LEAST_SHARE = 0.45  # share of a block's time that a foot must surely be in the air for
+LEAST_SHARE = 0.45  # minimum share of a block's time that a foot must be in swing
 NOISE_TIME = 0.2  # time in s that the noise of a tare is stated for
 
 LEAST_APART = 0.3
-"""Time in s from the end of a swing to the next: blocks of one swing say nothing of drift, and the first of
-them shows how the foot reads in the air."""
+"""Minimum time in s from the end of a swing to the next one. Blocks of one swing contain no information about
+drift."""
 
 RATE_SHARE, SMALLEST_RATE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 0.1, 10.0, 9.0
-"""How much of the learnt drift rate one tare decides at least, after the first few; the rates in stated ones
-that it is believed between, of good cells and of neglected ones; and the squared surprise, in expected ones,
-of which more counts no more (three standard deviations)."""
+"""Minimum weight of one tare in the learnt drift rate; bounds of the rate, in stated ones, for good and for
+neglected cells; and the largest squared surprise, in expected ones, that counts (three standard deviations)."""
 
 STATED_RATE = 2.0  # tares that the rate to start from counts for
 
 LEAP = 5.0
-"""Standard deviations of drift and noise beyond which a zero has leapt, and says nothing of the time since: a
-false alarm in 1.7 million."""
+"""Standard deviations of drift and noise above which a zero has jumped, so that its drift since the last tare
+is unknown: a false alarm in 1.7 million."""
 
-LARGEST_LOAD, LARGEST_SUM = 0.3, 0.4
-"""Change of a channel's mean reading since the last tare, or since the start, and of a foot's sum, in body
-weights by the starting map, from which on a foot is not in the air after all: three offsets of sensors three
-times as bad as stated, and less than half of what a foot bears that stands."""
+LARGEST_LOAD = 0.3
+"""Largest change of a zero that jumps, in body weights: three offsets of sensors three times as bad as stated."""
 
+ROUGH_DENSITY = 0.1
+"""Density of a loaded foot's roughness by its logarithm. Measured between 4 and 1e5 on a G1 and a T1 that walk
+and dance, on hard and on soft ground: a tenth per factor of e."""
 
-TOUCH = 0.1
-"""Load in body weights from which on a foot touches the ground, above that of its swing a moment ago or the
-least but one of a block's samples, whichever is less: no sole's own inertia comes near it, and a foot that
-lands on soft ground before its plan passes it within a sample or two."""
+NOISE_SPREAD = 1.4
+"""Standard deviation of the logarithm of a sensor's noise variance by the stated one: noise twice as large as
+stated is one standard deviation."""
+
+ZERO_JUMP = 1e-3
+"""Probability that a zero jumps between two tares, by a shock or a step of the supply."""
+
+ROUGHEST = 1e9  # roughness that stands for that of a foot that has not been in swing yet
+
+UNCONFIRMED = 0.99
+"""Largest probability of a zero that only one swing has shown. A foot may rest on an edge in its first."""
 
 
 class Tare:
@@ -64,14 +86,23 @@ class Tare:
         spread: How sure they are at the start.
 
     Attributes:
-        variance: Of a channel's mean reading by the time in the air in W^2 s, shape (K,).
+        variance: Variance of a channel's mean reading times the time in the air, in W^2 s, shape (K,).
+        loaded: Squared force of each channel of a foot that bears the largest load, in W^2, shape (K,).
     """
 
     def __init__(self, setup: OnlineSetup, config: Moment, columns: Columns, spread: Spread) -> None:
         self._columns, self._unit, self._feet = columns, spread.unit, setup.layout.slices
         self._foot_of_channel = setup.layout.foot_of_channel
         self.variance = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
-        self._drift, self._block = spread.walk[1], config.block
+        self.loaded = (MOST_LOAD * spread.unit / np.bincount(self._foot_of_channel)[self._foot_of_channel]) ** 2
+        self._drift, self._offset, self._block = spread.walk[1], spread.offset, config.block
+
+    def init(self) -> TareState:
+        """Return the state of feet that have not been in swing yet."""
+        zero, feet = np.zeros_like(self._unit), len(self._feet)
+        return TareState(
+            zero, zero, np.full(feet, -1.0), np.zeros(feet), np.full(feet, ROUGHEST), FIRST_RATE, 0
+        )
 
     def take(
         self,
@@ -81,42 +112,84 @@ class Tare:
         published: Array,
         state: TareState,
         lost: Array,
-    ) -> tuple[Belief, Array, TareState]:
+    ) -> tuple[Belief, Array, TareState, bool]:
         """Tare the feet that hang in a block.
 
         Args:
             block: The samples.
-            time: At its end in s.
-            belief: The modes' posteriors.
+            time: Time at its end in s.
+            belief: Posteriors of the modes.
             published: The published map, shape (M,).
-            state: Results of tares before.
+            state: Results of earlier tares.
             lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
-            The belief, the published map with the drift of now, and the state.
+            The belief, the published map with the present drift, the state, and whether a zero that was in use
+            turned out to be that of a loaded foot.
         """
-        columns, rate, followed = self._columns, state.rate, state.followed
+        columns, rate, followed, wrong = self._columns, state.rate, state.followed, False
         published, shown, times = published.copy(), state.reading.copy(), state.time.copy()
-        moved = state.moved.copy()
-        in_swing = (times >= 0.0) & (time - times <= LEAST_APART)
-        in_air = np.where(in_swing[self._foot_of_channel], shown, np.inf)
-        for foot, at, reading, seconds in self._hanging(block, lost, in_air, state.reading):
-            a, noise, last = published[columns.scale][at], self.variance[at] / seconds, times[foot]
-            before, steady = reading if last < 0.0 else shown[at] + moved[at], np.ones(len(at), dtype=bool)
-            unseen = reading - before
+        moved, sure, rough = state.moved.copy(), state.sure.copy(), state.rough.copy()
+        for foot, at, swing in self._hanging(block, lost):
+            last = times[foot]
+            rough[foot] = max(min(rough[foot], swing.rough), 1.0)
+            a, noise = published[columns.scale][at], rough[foot] * self.variance[at] / swing.seconds
+            change = swing.reading - shown[at] if last >= 0.0 else swing.reading
+            walked = 2.0 * noise + rate**2 * self._drift[at] * (time - last)
+            same, other, right = self._weigh(at, change, walked, swing.rough, rough[foot], sure[foot])
+            if same + other < 0.5:
+                sure[foot] = right
+                continue
+            wrong = wrong or bool(last >= 0.0 and other > same and change.sum() < 0.0 and sure[foot] <= UNCONFIRMED)
+            before, steady = (swing.reading, np.ones(len(at), bool)) if last < 0.0 else (
+                shown[at] + moved[at], change**2 <= LEAP**2 * walked
+            )
+            again = last >= 0.0 and time - last > LEAST_APART
+            if again:
+                rate, followed = self._learn_rate(rate, followed, change, walked), followed + 1
+            variance = a**2 * (noise + (1.0 - same - other) * self.loaded[at])
+            belief = self._learn(
+                belief, at[steady], before[steady], (-a * (swing.reading - before))[steady], variance[steady]
+            )
             if last >= 0.0:
-                change = reading - shown[at]
-                walked = 2.0 * noise + rate**2 * self._drift[at] * (time - last)
-                steady = change**2 <= LEAP**2 * walked
-                if time - last > LEAST_APART:
-                    rate, followed = self._learn_rate(rate, followed, change, walked), followed + 1
-            variance, asked = a**2 * noise, -a * unseen
-            belief = self._learn(belief, *(part[steady] for part in (at, before, asked, variance)))
-            if last >= 0.0:
-                belief = self._redefine(belief, at, reading, variance)
-            published[columns.drift.start + at] = -a * reading - published[columns.offset.start + at]
-            shown[at], moved[at], times[foot] = reading, 0.0, time
-        return belief, published, TareState(shown, moved, times, rate, followed)
+                belief = self._redefine(belief, at, swing.reading, variance)
+            published[columns.drift.start + at] = -a * swing.reading - published[columns.offset.start + at]
+            shown[at], moved[at], times[foot] = swing.reading, 0.0, time
+            if other > same:
+                sure[foot] = min(other, UNCONFIRMED)
+            elif again:
+                sure[foot] = same
+        return belief, published, TareState(shown, moved, times, sure, rough, rate, followed), wrong
+
+    def _weigh(
+        self, at: NDArray[np.int64], change: Array, walked: Array, rough: float, smooth: float, sure: float
+    ) -> tuple[float, float, float]:
+        """Weigh what the readings of a foot in swing may be.
+
+        Beforehand a foot that its kinematics show in swing is loaded or unloaded with equal probability.
+
+        Args:
+            at: The foot's channels, shape (m,).
+            change: Change of their readings since the last tare in W, shape (m,).
+            walked: Variance of that change by drift and noise in W^2, shape (m,).
+            rough: Roughness of the readings.
+            smooth: Roughness without load.
+            sure: Probability that the zero in use is right.
+
+        Returns:
+            Probability that the foot is unloaded with the zero in use, that it is unloaded with another zero,
+            and that the zero in use is right.
+        """
+        count, over, sure = len(at), rough / smooth, sure * (1.0 - ZERO_JUMP)
+        flat = np.exp(-0.5 * count * (over - 1.0 - np.log(over)) - 0.5 * (np.log(smooth) / NOISE_SPREAD) ** 2)
+        spread = walked + np.square(SEVERITIES)[:, None] * self._offset[at]
+        same = sure * flat * np.exp(_log_density(change, walked))
+        other = (1.0 - sure) * flat * np.dot(LIKELY, np.exp(_log_density(change, spread)))
+        loaded = ROUGH_DENSITY * np.prod(1.0 / np.sqrt(self.loaded[at]))
+        # Load is never negative.
+        right = same + loaded * sure * (change.sum() > 0.0)
+        total = right + other + loaded * (1.0 - sure)
+        return float(same / total), float(other / total), float(right / total)
 
     def repeat(self, belief: Belief, state: TareState, time: float, lost: Array) -> Belief:
         """Tare the feet once more as they read last, with a belief that knows nothing yet.
@@ -129,7 +202,9 @@ class Tare:
         """
         last = state.time[self._foot_of_channel]
         at = np.flatnonzero((last >= 0.0) & (lost < 0.5))
-        variance = self.variance / self._block + state.rate**2 * self._drift * (time - last)
+        rough, sure = state.rough[self._foot_of_channel], state.sure[self._foot_of_channel]
+        noise = rough * self.variance / self._block + (1.0 - sure) * self.loaded
+        variance = noise + state.rate**2 * self._drift * (time - last)
         return self._learn(belief, at, (state.reading + state.moved)[at], np.zeros(len(at)), variance[at])
 
     def rows(self, block: Block, known: Array) -> tuple[Array, Array]:
@@ -146,24 +221,18 @@ class Tare:
         a, b, u = (known[part] for part in (columns.scale, columns.offset, columns.drift))
         zero = -(b + u) / a
         found, variance = [np.zeros((0, columns.size))], [np.zeros(0)]
-        for _, at, _, seconds in self._hanging(block, np.zeros(len(a)), np.full(len(a), np.inf), -b / a):
+        for _, at, swing in self._hanging(block, np.zeros(len(a))):
             found.append(self._write(at, zero[at]))
-            variance.append(a[at] ** 2 * self.variance[at] / seconds)
+            variance.append(a[at] ** 2 * self.variance[at] / swing.seconds)
         return np.vstack(found), np.diag(np.concatenate(variance))
 
-    def _hanging(
-        self, block: Block, lost: Array, before: Array, last: Array
-    ) -> Iterator[tuple[int, NDArray[np.int64], Array, float]]:
-        """Find feet that hang: each with its channels that are not lost, their mean reading, and seconds.
-
-        ``before`` are the readings of swings a moment ago, infinite where there is none, and ``last`` those
-        of the last tare, 0 where there is none, shape (K,).
-        """
+    def _hanging(self, block: Block, lost: Array) -> Iterator[tuple[int, NDArray[np.int64], "Swing"]]:
+        """Find the feet in swing: each with its channels that are not lost, and their readings."""
         for foot, of_foot in enumerate(self._feet):
             channels = np.flatnonzero(lost[of_foot] < 0.5) + of_foot.start
-            reading, seconds = self._reading(block, foot, channels, before[channels], last[channels])
-            if seconds >= LEAST_SHARE * block.duration:
-                yield foot, channels, reading, seconds
+            swing = self._read(block, foot, channels)
+            if channels.size and swing.seconds >= LEAST_SHARE * block.duration:
+                yield foot, channels, swing
 
     def _write(self, channels: NDArray[np.int64], reading: Array) -> Array:
         """Return the rows a r + b + u of some channels, shape (m, N)."""
@@ -173,25 +242,20 @@ class Tare:
         H[rows, channels + columns.offset.start] = H[rows, channels + columns.drift.start] = 1.0
         return H
 
-    def _reading(
-        self, block: Block, foot: int, channels: NDArray[np.int64], before: Array, last: Array
-    ) -> tuple[Array, float]:
-        """Return a foot's mean reading in the air, and how long it hung in s."""
+    def _read(self, block: Block, foot: int, channels: NDArray[np.int64]) -> "Swing":
+        """Return a foot's readings in swing."""
         swing = block.swing[:, foot] > 0.5
         # The sample before and the one after are in the air as well.
         sure = swing[1:] & swing[:-1] & np.append(swing[2:], swing[-1])
         sure &= (block.read[:, channels] > 0.5).all(axis=1)
-        if not (sure.any() and channels.size):
-            return np.zeros(len(channels)), 0.0
-        load = (block.force[:, channels] / self._unit[channels]).sum(axis=1)
-        least = min(np.sort(load[sure])[:2][-1], (before / self._unit[channels]).sum())
-        sure &= load <= least + TOUCH
-        if not sure.any():
-            return np.zeros(len(channels)), 0.0
-        reading = block.force[np.ix_(sure, channels)].mean(axis=0)
-        change = (reading - last) / self._unit[channels]
-        in_air = np.abs(change).max() <= LARGEST_LOAD and abs(change.sum()) <= LARGEST_SUM
-        return reading, float(block.dt[sure].sum()) * in_air
+        count, seconds = int(sure.sum()), float(block.dt[sure].sum())
+        if count == 0:
+            return Swing(np.zeros(len(channels)), 0.0, 1.0)
+        force = block.force[np.ix_(sure, channels)]
+        reading = force.mean(axis=0)
+        noise = self.variance[channels] * count / seconds
+        rough = float((np.square(force - reading) / noise).sum()) / (max(count - 1, 1) * len(channels))
+        return Swing(reading, seconds, max(rough, 1.0))
 
     def _learn(
         self,
@@ -230,3 +294,17 @@ class Tare:
         surprise = float(np.minimum(own / expected, LARGEST_SURPRISE).mean())
         share = max(RATE_SHARE, 1.0 / (followed + STATED_RATE))
         return float(np.clip(rate * np.sqrt(1.0 + share * (surprise - 1.0)), SMALLEST_RATE, LARGEST_RATE))
+
+
+class Swing(NamedTuple):
+    """Readings of a foot that is in swing by its kinematics; m channels."""
+
+    reading: Array  # mean of each channel in W, shape (m,)
+    seconds: float  # for how long the foot was in swing
+    rough: float  # variance of the readings by that of the noise as stated, at least 1
+
+
+def _log_density(change: Array, variance: Array) -> Array:
+    """Return the logarithm of the density of independent normal changes, shapes (..., m) to (...)."""
+    found: Array = -0.5 * (change**2 / variance + np.log(2.0 * np.pi * variance)).sum(axis=-1)
+    return found

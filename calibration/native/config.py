@@ -156,10 +156,10 @@ def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
         "versus_sure": comparison.SURE,
         "talks": len(core.model.talk_to),
         "tare_variance": core.tare.variance,
+        "loaded": core.tare.loaded,
         "tare_share": tares.LEAST_SHARE,
         "tare_surprise": tares.LARGEST_SURPRISE,
         "tare_leap": tares.LEAP,
-        "touch_load": tares.TOUCH,
     }
     parts = core, core.config, core.columns, core.blocks, core.spread, core.model
     return own, *parts, stream, model, tares, still, severity, columns, health, modes, motion, suspects

@@ -23,7 +23,7 @@ from surefoot.calibration.moment.modes import (
     wrench_variance,
 )
 from surefoot.calibration.moment.severity import LIKELY, SEVERITIES, Severity
-from surefoot.calibration.moment.state import Belief, TareState
+from surefoot.calibration.moment.state import Belief
 from surefoot.calibration.moment.suspects import SURE, Suspects
 from surefoot.calibration.moment.tare import Tare
 
@@ -229,13 +229,13 @@ def test_a_foot_in_the_air_shows_its_zeros_and_nothing_of_its_scales():
     tare, mean = Tare(setup(), CONFIG, columns, spread), first_mean(columns)
     covariance = np.diag(first_variance(columns, spread, CONFIG))
     belief = Belief(np.tile(mean, (3, 1)), np.tile(covariance, (3, 1, 1)), FIRST_CHANCE)
-    state, published = TareState(np.zeros(8), np.zeros(8), np.full(2, -1.0), 1.0, 0), mean[columns.map]
+    state, published = tare.init()._replace(rate=1.0), mean[columns.map]
     hanging, rng = block()._replace(swing=np.ones((9, 2))), np.random.default_rng(0)
     at = np.arange(columns.drift.start, columns.drift.stop)
     for k, time in enumerate((1.0, 2.0, 300.0)):
         zero = rng.normal(0.0, 0.02, size=8)
         seen = hanging._replace(force=np.tile(zero, (8, 1)))
-        belief, published, state = tare.take(seen, time, belief, published, state, np.zeros(8))
+        belief, published, state, _ = tare.take(seen, time, belief, published, state, np.zeros(8))
         for j in range(3):
             force = zero * belief.mean[j, columns.scale] + belief.mean[j, columns.offset] + belief.mean[j, at]
             np.testing.assert_allclose(force, 0.0, atol=1e-3)

@@ -9,7 +9,7 @@ from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Columns, Spread, first_mean, first_variance
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.modes import FIRST_CHANCE
-from surefoot.calibration.moment.state import Belief, TareState
+from surefoot.calibration.moment.state import Belief
 from surefoot.calibration.moment.still import Still
 from surefoot.calibration.moment.tare import Tare
 
@@ -36,7 +36,7 @@ def follow(readings, config=None, rate=1.0, lost=None, hangs=()):
     first = belief = Belief(np.tile(mean, (3, 1)), np.tile(covariance, (3, 1, 1)), FIRST_CHANCE)
     published = mean[columns.map].copy()
     state, at = still.init(), np.arange(columns.drift.start, columns.drift.stop)
-    tares = TareState(np.zeros(8), np.zeros(8), np.full(2, -1.0), rate, 0)
+    tares = tare.init()._replace(rate=rate)
     for k, reading in enumerate(readings):
         covariance = belief.covariance.copy()
         covariance[:, at, at] += rate**2 * spread.walk[1] * T * published[columns.scale] ** 2
@@ -45,7 +45,7 @@ def follow(readings, config=None, rate=1.0, lost=None, hangs=()):
             np.zeros(8) if lost is None else lost,
         )  # fmt: skip
         if k in hangs:
-            belief, published, tares = tare.take(
+            belief, published, tares, _ = tare.take(
                 read(reading)._replace(swing=np.ones((9, 2))),
                 T * (k + 1),
                 belief,
