@@ -6,11 +6,11 @@
 from typing import Any
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.checks import as_number
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import NativeFilter, ReferenceRecord
 from surefoot.calibration.reference import MomentumReference, Reference
 from surefoot.calibration.setup import OnlineMethod
+from surefoot.checks import as_number
 from surefoot.native import Library, StateRecord
 
 AnyReference = Reference | MomentumReference | ReferenceRecord

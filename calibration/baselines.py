@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.checks import check_count, check_not_negative, check_positive
+from surefoot.calibration.checks import check_counts, check_not_negative, check_positive
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.readings import FrontEnd, FrontState
 from surefoot.calibration.reference import Reference
@@ -49,7 +49,7 @@ class SwingTare:
         """Raise an error if a value is out of range."""
         check_positive(self, "spread", "offset_range")
         check_not_negative(self, "settle")
-        check_count(self, "minimum_samples")
+        check_counts(self, "minimum_samples")
 
 
 class TareState(NamedTuple):

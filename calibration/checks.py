@@ -1,10 +1,11 @@
-"""Checks of arguments: each raises an error that names the argument, the rule and the given value."""
+"""Checks of arrays, and of the fields of dataclasses, by the rules of :mod:`surefoot.checks`."""
 
 from typing import Any
 
 import numpy as np
 
 from surefoot.calibration.arrays import Array
+from surefoot.checks import check_count, check_value
 
 ONE_ROBOT = (
     "That is of several robots, and a calibrator is of one: make a FootCalibrator for each, or wrap their "
@@ -59,52 +60,7 @@ def check_not_negative(config: Any, *fields: str) -> None:
         check_value(field, getattr(config, field), positive=False)
 
 
-def check_count(config: Any, *fields: str) -> None:
-    """Convert fields of a frozen dataclass to int, or raise ValueError unless they are whole and positive."""
+def check_counts(config: Any, *fields: str) -> None:
+    """Convert fields of a frozen dataclass to int; raise ValueError unless they are whole and positive."""
     for field in fields:
-        value = getattr(config, field)
-        if not is_whole(value) or value < 1:
-            raise ValueError(f"'{field}' must be a whole number from 1 on, got {value}.")
-        object.__setattr__(config, field, int(value))
-
-
-def check_kind(name: str, value: Any, kind: type) -> None:
-    """Raise TypeError unless a value is an instance of a class."""
-    if not isinstance(value, kind):
-        article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise TypeError(
-            f"'{name}' must be {article} {kind.__name__}, got {value!r} of {type(value).__name__}."
-        )
-
-
-def check_value(name: str, value: Any, *, positive: bool) -> None:
-    """Raise TypeError unless a value is a number, ValueError unless it is finite and positive (or zero)."""
-    number = as_number(name, value)
-    if positive and not 0.0 < number < np.inf:
-        raise ValueError(f"'{name}' must be positive and finite, got {value}.")
-    if not 0.0 <= number < np.inf:
-        raise ValueError(f"'{name}' must not be negative and must be finite, got {value}.")
-
-
-def check_flag(name: str, value: Any) -> None:
-    """Raise TypeError unless a value is a boolean: the string "no" would count as true."""
-    if not isinstance(value, bool | np.bool_):
-        raise TypeError(f"'{name}' must be True or False, got {value!r}.")
-
-
-def as_number(name: str, value: Any) -> float:
-    """Return a number as a float, or raise TypeError for text, sequences and other types."""
-    try:
-        if not isinstance(value, str | bytes) and np.ndim(value) == 0:
-            return float(value)
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise TypeError(f"'{name}' must be a number, got {value!r} of type {type(value).__name__}.")
-
-
-def is_whole(value: Any) -> bool:
-    """Return whether a value is a whole number. It is false for infinities, NaN and other types."""
-    try:
-        return not isinstance(value, bool) and bool(value == int(value))
-    except (TypeError, ValueError, OverflowError):
-        return False
+        object.__setattr__(config, field, check_count(field, getattr(config, field)))

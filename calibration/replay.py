@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Floats, RowCollector, take_rows
-from surefoot.calibration.checks import ONE_ROBOT, check_kind, check_value
+from surefoot.calibration.checks import ONE_ROBOT
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.foot_calibrator import FootCalibrator
 from surefoot.calibration.front_end.filters import zero_phase as filter_zero_phase
@@ -22,6 +22,7 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.online import MethodOptions, method_entry, resolve_method
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import MomentumReference, Reference
+from surefoot.checks import check_kind, check_value
 
 PAPER_CUTOFF = 10.0  # cutoff of the CoP paper's zero-phase filter in Hz
 

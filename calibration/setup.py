@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.calibration.arrays import Array
-from surefoot.calibration.checks import check_kind, check_not_negative, check_positive, is_whole
+from surefoot.calibration.checks import check_not_negative, check_positive
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY
+from surefoot.checks import check_count, check_kind
 
 
 def method_name(name: Any) -> str:
@@ -113,9 +114,7 @@ class OnlineSetup:
             raise TypeError(
                 f"'initial' must be Parameters(scale, offset), got {type(self.initial).__name__}."
             )
-        if not is_whole(self.lag) or self.lag < 0:
-            raise ValueError(f"'lag' must be a whole number of samples, at least 0, got {self.lag!r}.")
-        object.__setattr__(self, "lag", int(self.lag))
+        object.__setattr__(self, "lag", check_count("lag", self.lag, 0))
         for field, value in zip(Parameters._fields, self.initial, strict=True):
             shape = np.shape(value)
             if shape != (self.layout.channels,):

@@ -33,12 +33,11 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Floats
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.checks import (
-    check_count,
+    check_counts,
     check_floating,
     check_not_negative,
     check_positive,
     check_shape,
-    check_value,
 )
 from surefoot.calibration.cop import FORCE_THRESHOLD, moment_rows
 from surefoot.calibration.front_end.motion import FARTHEST, LARGEST_REFERENCE
@@ -46,6 +45,7 @@ from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import GRAVITY, Reference
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+from surefoot.checks import check_value
 
 _ROWS = 3
 
@@ -139,7 +139,7 @@ class QuietStanding:
         positive = ("mass", "gravity", "acceleration_threshold", "rate_threshold", "scale_std", "offset_std")
         check_positive(self, *positive, "force_noise", "cop_noise")
         check_not_negative(self, "warm_up", "duration", "threshold", "mass_error", "com_error")
-        check_count(self, "minimum_samples")
+        check_counts(self, "minimum_samples")
         for field in ("scale", "offset"):
             value = getattr(self.start, field)
             self.layout.check_reading(value, f"start.{field}")

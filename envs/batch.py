@@ -19,13 +19,14 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 from surefoot.arrays import Floats
+from surefoot.checks import check_count
 from surefoot.envs.biped import BipedEnv, State, effort
 from surefoot.envs.command import Command
 from surefoot.envs.exercise.env import ExerciseEnv
 from surefoot.envs.nao.stand import NaoStandEnv
 from surefoot.envs.nao.walk import NaoWalkEnv
 from surefoot.envs.observation import Look, Observation
-from surefoot.envs.options import check_count, check_render_mode
+from surefoot.envs.options import check_render_mode
 from surefoot.native import cores
 
 PHYSICS = mujoco.mjtState.mjSTATE_INTEGRATION  # all that MuJoCo's next step depends on

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 
 from surefoot.arrays import Floats
+from surefoot.checks import check_value
 
 
 def positive(name: str, value: float, *, or_zero: bool = False) -> float:
-    """Return a number, or raise ValueError if it is not finite and positive (or zero, where it may be)."""
-    number = number_of(value)
-    if not isfinite(number) or number < 0.0 or (number == 0.0 and not or_zero):
-        rule = "zero or positive" if or_zero else "positive"
-        raise ValueError(f"'{name}' must be finite and {rule}, got {value!r}.")
-    return number
+    """Return a finite number that is positive or, if allowed, zero; ValueError for all other values."""
+    try:
+        return check_value(name, value, positive=not or_zero)
+    except TypeError as error:
+        raise ValueError(str(error)) from None
 
 
 def check_range(name: str, value: Sequence[float]) -> tuple[float, float]:
@@ -87,13 +87,6 @@ def check_number(name: str, value: Any) -> float:
     if not isfinite(number := number_of(value)):
         raise ValueError(f"'{name}' must be finite, got {value!r}.")
     return number
-
-
-def check_count(name: str, value: Any, least: int) -> int:
-    """Return a whole number, or raise ValueError for other values and for less than the least."""
-    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-        raise ValueError(f"'{name}' must be a whole number from {least} on, got {value!r}.")
-    return int(value)
 
 
 def numbers_of(value: Any) -> tuple[float, ...]:

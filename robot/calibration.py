@@ -13,12 +13,12 @@ import gymnasium as gym
 import numpy as np
 
 from surefoot.calibration import FootCalibrator, MomentumReference, Parameters, Reference
-from surefoot.calibration.checks import check_flag
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.native import ReferenceRecord
 from surefoot.calibration.online import MethodOptions, method_entry, resolve_method
 from surefoot.calibration.state import load_state, mass_share, save_state
+from surefoot.checks import check_flag
 from surefoot.names import plain_name
 from surefoot.pickles import OfOneVersion
 from surefoot.robot.beliefs.errors import USUAL, BeliefErrors, belief_errors

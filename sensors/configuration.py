@@ -4,7 +4,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from math import inf
 from types import NoneType
-from typing import Annotated, Any, NamedTuple, TypeGuard, TypeVar, get_args
+from typing import Annotated, Any, NamedTuple, TypeVar, get_args
+
+from surefoot.checks import check_value, is_whole
 
 Config = TypeVar("Config")
 
@@ -35,28 +37,15 @@ NotNegative = Annotated[
 Positive = Annotated[
     float, Rule("be finite and positive", lambda value: _is_number(value) and 0.0 < value < inf)
 ]
-Whole = Annotated[int, Rule("be a positive whole number", lambda value: is_whole(value) and value > 0)]
+Whole = Annotated[int, Rule("be a whole number from 1 on", lambda value: is_whole(value) and value > 0)]
 Bits = Annotated[int, Rule("lie in 0 to 32", lambda value: is_whole(value) and 0 <= value <= 32)]
 Error = Annotated[NotNegative, ErrorField()]  # a number that is an error
 
 
 def check_not_negative(**values: float) -> None:
-    """Raise ValueError if an argument is negative or not finite; the message names it."""
+    """Raise an error that names the first argument that is negative or not finite."""
     for name, value in values.items():
-        if not 0.0 <= value < float("inf"):
-            raise ValueError(f"'{name}' must be finite and not negative, got {value}.")
-
-
-def check_whole(**values: int) -> None:
-    """Raise ValueError if an argument is no positive whole number; the message names it."""
-    for name, value in values.items():
-        if not (is_whole(value) and value > 0):
-            raise ValueError(f"'{name}' must be a positive whole number, got {value!r}.")
-
-
-def is_whole(value: object) -> TypeGuard[int]:
-    """Return whether a value is a whole number; ``True`` and ``False`` are none."""
-    return isinstance(value, int) and not isinstance(value, bool)
+        check_value(name, value, positive=False)
 
 
 def require(condition: bool, config: object, field: str, rule: str) -> None:

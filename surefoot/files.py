@@ -1,18 +1,16 @@
-"""Files: written whole or not at all, and read with limits.
+"""Files are written completely or not at all, and read with limits on their size.
 
-:func:`atomic_path` is the one writer. It fills a file beside the target and renames it into place, so that a
-full disk or a killed process costs the new file and never the old one. A rename replaces whatever bears the
-name, a device as well as a file: only regular files are replaced. The file beside the target is locked while
-it is written; one that nobody holds was left by a killed process, and the next save to the target removes it.
+:func:`atomic_path` fills a file beside the target and renames it, so that a full disk or a killed process
+costs the new file and never the old one. Only regular files are replaced, because a rename would also replace
+a device. The file beside the target is locked while it is written. An unlocked one was left by a killed
+process, and the next save to the target removes it.
 
-The readers look at sizes before contents: of a file, of an unpacked archive, of an array's own words about
-itself.
+The readers check sizes before contents: of a file, of an unpacked archive, and of an array by its header.
 """
 
 import csv
 import json
 import os
-import re
 import shutil
 import stat
 import sys
@@ -32,31 +30,21 @@ from numpy.typing import NDArray
 AnyPath = str | PathLike[str]
 
 LARGEST_TEXT = 2**26
-"""Size in bytes beyond which a text is none of ours: a description, a plan, a motion of an hour."""
+"""Largest size of a text file in bytes. Descriptions, plans and a motion of an hour are smaller."""
 
 DEEPEST = 64
-"""Levels of nesting beyond which data are none of ours, whose formats have less than ten."""
+"""Maximum nesting depth. The formats of this package use fewer than ten levels."""
 
-_DOTTED = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
-"""A key in TOML of more parts; the parser's time grows with the square of their number."""
-
-_KINDS = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-    (stat.S_ISFIFO, "a named pipe"),
-    (stat.S_ISSOCK, "a socket"),
-)
 _OWN = 50
-"""Letters of a target's name in the name of the file beside it: at most 255 bytes with all that follows."""
+"""Letters of the target's name in the name of the file beside it, which has at most 255 bytes."""
 
 
 @contextmanager
 def atomic_path(path: AnyPath) -> Iterator[Path]:
-    """Lend a name beside a file, and rename the finished file into place, or remove it.
+    """Give a path beside a file, and rename the finished file into place, or remove it after an error.
 
-    Folders are made. A link is followed: its target is replaced. Raises ValueError if something else than a
-    regular file bears the name, OSError if it cannot be written; the old file is as it was then.
+    Folders are created. If the path is a link, its target is replaced. Raises ValueError if the path is not a
+    regular file, OSError if it cannot be written. The old file is unchanged then.
     """
     target = Path(os.path.realpath(_as_path(path)))
     there = stat_of_file(path)
@@ -94,7 +82,7 @@ def write_text(path: AnyPath, text: str) -> None:
 
 @contextmanager
 def lock_folder(folder: Path, refusal: Exception) -> Iterator[None]:
-    """Keep others, who get ``refusal``, out of a folder while this process lives, where the system can."""
+    """Lock a folder while this process uses it; other processes get the error ``refusal``."""
     folder.mkdir(parents=True, exist_ok=True)
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
@@ -106,15 +94,15 @@ def lock_folder(folder: Path, refusal: Exception) -> Iterator[None]:
 
 
 def stat_of_file(path: AnyPath, refusal: type[ValueError] = ValueError) -> os.stat_result | None:
-    """Return the status of a regular file, ``None`` if there is none; ValueError if it is no such."""
+    """Return the status of a regular file, None if there is no file; ValueError for a folder or a device."""
     try:
-        there = os.stat(_as_path(path))
+        status = os.stat(_as_path(path))
     except (FileNotFoundError, NotADirectoryError):
         return None
-    for is_one, kind in _KINDS:
-        if is_one(there.st_mode):
-            raise refusal(f"'{path}' is {kind} and no regular file; give the path of a file.")
-    return there
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device, pipe or socket"
+        raise refusal(f"'{path}' is {kind}, not a regular file; give the path of a file.")
+    return status
 
 
 def read_text(path: AnyPath, refusal: type[ValueError] = ValueError) -> str:
@@ -156,8 +144,6 @@ def read_toml(path: AnyPath, refusal: type[ValueError] = ValueError) -> dict[str
     """Read a TOML file; errors as of :func:`read_text`, and if it is no TOML."""
     text = read_text(path, refusal)
     try:
-        if _DOTTED.search(text):
-            raise RecursionError
         found: dict[str, Any] = _shallow(tomllib.loads(text))
     except (ValueError, RecursionError) as error:
         raise refusal(f"{Path(path).name}: not TOML: {_said(error)}.") from None

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.calibration.checks import check_flag
+from surefoot.checks import check_flag
 from surefoot.pickles import OfOneVersion
 from surefoot.robot.sensing.condition import Faults, Severity
 from surefoot.robot.sensing.device import FootDevice

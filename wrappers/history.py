@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from surefoot.calibration.checks import as_number
+from surefoot.checks import as_number
 from surefoot.wrappers.source import find_source
 
 

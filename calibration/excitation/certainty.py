@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surefoot.calibration.checks import check_value
+from surefoot.checks import check_value
 
 ENOUGH = 1.0e-3  # standard deviation of the centre of pressure in m at which a robot is certain
 AGAIN = 1.5  # by what that may rise, as a factor, before the robot asks to be calibrated again

@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surefoot.arrays import Floats
-from surefoot.calibration.checks import check_value
 from surefoot.calibration.excitation.bound import LogPassages, Passage
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup, setup_from_options
+from surefoot.checks import check_value
 
 PIECE = 0.5  # pieces in s that time is cut into: of what ends within the same one, the best is kept
 KEPT = 10  # how many are kept of each

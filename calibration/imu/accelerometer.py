@@ -31,9 +31,9 @@ from numpy.typing import ArrayLike
 
 from surefoot.arrays import Floats
 from surefoot.calibration.arrays import MAD_TO_STD, of_unit_length
-from surefoot.calibration.checks import check_value
 from surefoot.calibration.imu.gravity_spread import MINIMUM_SPREAD, check_gravity_spread
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
+from surefoot.checks import check_value
 
 AccelerometerModel = Literal["bias", "bias-scale", "full"]
 """``bias``: K is the identity; ``bias-scale``: it is diagonal; ``full``: it is upper triangular."""

@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Floats
-from surefoot.calibration.checks import check_value
+from surefoot.checks import check_value
 
 
 def savitzky_golay(

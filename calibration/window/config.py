@@ -26,7 +26,7 @@ import numpy as np
 
 from surefoot.arrays import Floats
 from surefoot.calibration.centroidal import ground_reference
-from surefoot.calibration.checks import check_count, check_not_negative, check_positive
+from surefoot.calibration.checks import check_counts, check_not_negative, check_positive
 from surefoot.calibration.cop import cop_of_moments, moment_rows
 from surefoot.calibration.parameters import Parameters
 from surefoot.calibration.reference import Reference
@@ -141,7 +141,7 @@ class Window:
             "standing_patience",
         )  # fmt: skip
         check_not_negative(self, "transition", "settle", "standing_warm_up", "standing_duration")
-        check_count(self, "every", "iterations", "standing_samples")
+        check_counts(self, "every", "iterations", "standing_samples")
         if self.cutoff is not None:
             check_positive(self, "cutoff")
         try:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.calibration.checks import check_count
+from surefoot.calibration.checks import check_counts
 from surefoot.controllers.policy import PolicyNetwork
 
 SENSORS = ("true", "randomised")
@@ -143,7 +143,9 @@ class TrainOptions:
         find_task(self.task)
         if self.sensors not in SENSORS:
             raise ValueError(f"'sensors' must be one of {SENSORS}, got {self.sensors!r}.")
-        check_count(self, "steps", "environments", "rollout", "every", "epochs", "batch", "hidden", "explore")
+        check_counts(
+            self, "steps", "environments", "rollout", "every", "epochs", "batch", "hidden", "explore"
+        )
         if not 0 <= self.seed < 1000:
             raise ValueError(f"'seed' must lie in 0 to 999, got {self.seed}.")
         if self.rollout * self.environments < 2:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from surefoot.calibration.checks import as_number
+from surefoot.checks import as_number
 from surefoot.sensors import Fault, parse_fault
 from surefoot.sensors.corruption import Rng
 from surefoot.sensors.faults.chances import FaultChance, draw_faults, parse_chances

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypedDict, Unpack
 
-from surefoot.calibration.checks import check_flag
+from surefoot.checks import check_flag
 from surefoot.robot.sensing.condition import Faults, Severity, severity_range
 from surefoot.robot.sensing.device import FootDevice
 from surefoot.robot.streams import SENSOR_STREAM

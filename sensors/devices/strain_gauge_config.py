@@ -6,13 +6,13 @@ from typing import Annotated
 import numpy as np
 
 from surefoot.arrays import Floats
+from surefoot.checks import is_whole
 from surefoot.sensors.configuration import (
     Error,
     ErrorField,
     NotNegative,
     Positive,
     check_fields,
-    is_whole,
     require,
 )
 from surefoot.sensors.devices.force_torque import AXES, per_axis

@@ -22,7 +22,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from surefoot.arrays import Floats
-from surefoot.sensors.configuration import NotNegative, Positive, check_fields, is_whole, require
+from surefoot.checks import is_whole
+from surefoot.sensors.configuration import NotNegative, Positive, check_fields, require
 from surefoot.sensors.corruption import Corruption, Rng, check_channels, device, limit
 from surefoot.sensors.randomness import uniform
 

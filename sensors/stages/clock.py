@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surefoot.arrays import Floats
-from surefoot.sensors.configuration import check_whole
+from surefoot.checks import check_count
 from surefoot.sensors.corruption import Corruption, Rng, chain, limit
 from surefoot.sensors.randomness import uniform
 
@@ -154,7 +154,7 @@ def sample_and_hold(
         ValueError: If the rates are not positive and in order, or the number is not a positive whole one.
     """
     check_rate(rate)
-    check_whole(settling=settling)
+    check_count("settling", settling)
     converter = converter or chain()
 
     def init(shape: tuple[int, ...], rng: Rng) -> ClockState:

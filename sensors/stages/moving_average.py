@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from surefoot.arrays import Floats
-from surefoot.sensors.configuration import check_whole
+from surefoot.checks import check_count
 from surefoot.sensors.corruption import Corruption, Rng
 
 
@@ -47,7 +47,7 @@ def moving_average(count: int) -> Corruption[MovingAverageState]:
     >>> read
     [0.0, 2.0, 4.0, 6.0, 8.0]
     """
-    check_whole(count=count)
+    check_count("count", count)
     weight = 1.0 / count
 
     def init(shape: tuple[int, ...], rng: Rng) -> MovingAverageState:

@@ -38,7 +38,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Floats
-from surefoot.sensors.configuration import check_not_negative, is_whole
+from surefoot.checks import is_whole
+from surefoot.sensors.configuration import check_not_negative
 from surefoot.sensors.corruption import Corruption, Rng, limit, stateless
 from surefoot.sensors.randomness import normal, uniform
 

@@ -232,7 +232,7 @@ test_bad_arguments = refusals(
         {"model": "scale"},
         "'model' must be one of 'bias', 'bias-scale', 'full', got 'scale'.",
     ),
-    (np.ones((5, 3)), {"gravity": -9.81}, "'gravity' must be positive and finite, got -9.81."),
+    (np.ones((5, 3)), {"gravity": -9.81}, "'gravity' must be finite and positive, got -9.81."),
     plain=True,
 )
 

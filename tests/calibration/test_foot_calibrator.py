@@ -147,7 +147,7 @@ def test_options_of_the_robot_and_of_the_method_are_told_apart(log):
         make("tare", window=0.25)
     with pytest.raises(ValueError, match="Method 'wndow' does not exist"):
         make("wndow")
-    with pytest.raises(ValueError, match="'delta_cop' must be positive and finite, got -1"):
+    with pytest.raises(ValueError, match="'delta_cop' must be finite and positive, got -1"):
         make(delta_cop=-1.0)
 
 
@@ -266,7 +266,7 @@ def test_zero_phase_keeps_an_absurd_reading_from_its_neighbours(log):
     found = replay(LAYOUT, "window", raw, log.reference, DT, **options)
     expected = replay(LAYOUT, "window", missing, log.reference, DT, **options)
     np.testing.assert_array_equal(found.scale, expected.scale)
-    with pytest.raises(ValueError, match="'dt' must be positive and finite, got 0"):
+    with pytest.raises(ValueError, match="'dt' must be finite and positive, got 0"):
         replay(LAYOUT, "window", raw, log.reference, 0.0, **options)
 
 

@@ -208,11 +208,11 @@ def link_to_pipe(path):
 
 
 NO_FILES = {
-    "a device": (device, "is a device and no regular file"),
-    "a folder": (os.mkdir, "is a folder and no regular file"),
-    "a pipe": (os.mkfifo, "is a named pipe and no regular file"),
-    "a socket": (bound, "is a socket and no regular file"),
-    "a link to a pipe": (link_to_pipe, "is a named pipe and no regular file"),
+    "a device": (device, "is a device, pipe or socket, not a regular file"),
+    "a folder": (os.mkdir, "is a folder, not a regular file"),
+    "a pipe": (os.mkfifo, "is a device, pipe or socket, not a regular file"),
+    "a socket": (bound, "is a device, pipe or socket, not a regular file"),
+    "a link to a pipe": (link_to_pipe, "is a device, pipe or socket, not a regular file"),
 }
 
 

@@ -29,7 +29,7 @@ test_what_cannot_be_filtered_is_refused = refusals(
     (np.zeros(9), {"window": 9, "order": 6}, "exceed 'order', at most 5"),
     (np.zeros(9), {"window": 3}, "got window=3, order=3, derivative=0."),
     (np.zeros(9), {"window": 5, "derivative": 4}, "got window=5, order=3, derivative=4."),
-    (np.zeros(9), {"window": 5, "dt": 0.0}, "'dt' must be positive and finite, got 0.0."),
+    (np.zeros(9), {"window": 5, "dt": 0.0}, "'dt' must be finite and positive, got 0.0."),
     (np.array([0.0, np.nan] * 4), {"window": 5}, "4 of 8 samples are not finite"),
     plain=True,
 )

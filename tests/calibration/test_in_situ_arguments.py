@@ -63,7 +63,7 @@ def test_every_limit_has_a_unit_and_a_source_and_is_used():
 
 
 def test_a_known_limb_is_checked():
-    with pytest.raises(ValueError, match="'mass_std' must be positive and finite, got 0"):
+    with pytest.raises(ValueError, match="'mass_std' must be finite and positive, got 0"):
         KnownLimb(1.0, 0)
     with pytest.raises(ValueError, match="'com' must be three finite numbers in m"):
         KnownLimb(1.0, 0.1, com=np.ones(2))

@@ -405,9 +405,9 @@ def test_other_methods_want_accelerations():
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ({"block": 0.0}, "'block' must be positive and finite, got 0.0"),
-        ({"scale_drift": -1.0}, "'scale_drift' must not be negative and must be finite, got -1.0"),
-        ({"velocity_noise": np.nan}, "'velocity_noise' must be positive and finite, got nan"),
+        ({"block": 0.0}, "'block' must be finite and positive, got 0.0"),
+        ({"scale_drift": -1.0}, "'scale_drift' must be finite and not negative, got -1.0"),
+        ({"velocity_noise": np.nan}, "'velocity_noise' must be finite and positive, got nan"),
     ],
 )
 def test_an_option_without_meaning_is_refused(option, message):

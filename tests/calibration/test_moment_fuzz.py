@@ -105,14 +105,14 @@ def test_units_a_thousand_times_off_are_refused_and_flagged(field):
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"block": 0.0}, ValueError, "'block' must be positive and finite, got 0.0."),
-        ({"scale_std": -0.1}, ValueError, "'scale_std' must be positive and finite, got -0.1."),
-        ({"offset_std": np.inf}, ValueError, "'offset_std' must be positive and finite, got inf."),
-        ({"velocity_noise": np.nan}, ValueError, "'velocity_noise' must be positive and finite, got nan."),
+        ({"block": 0.0}, ValueError, "'block' must be finite and positive, got 0.0."),
+        ({"scale_std": -0.1}, ValueError, "'scale_std' must be finite and positive, got -0.1."),
+        ({"offset_std": np.inf}, ValueError, "'offset_std' must be finite and positive, got inf."),
+        ({"velocity_noise": np.nan}, ValueError, "'velocity_noise' must be finite and positive, got nan."),
         ({"momentum_noise": "1"}, TypeError, "'momentum_noise' must be a number, got '1' of type str."),
-        ({"tare_noise": 0}, ValueError, "'tare_noise' must be positive and finite, got 0."),
+        ({"tare_noise": 0}, ValueError, "'tare_noise' must be finite and positive, got 0."),
         *(
-            ({name: -1.0}, ValueError, f"'{name}' must not be negative and must be finite, got -1.0.")
+            ({name: -1.0}, ValueError, f"'{name}' must be finite and not negative, got -1.0.")
             for name in ("scale_drift", "offset_drift", "ripple")
         ),
         (

@@ -297,9 +297,9 @@ def test_refuses_a_recording_that_is_too_short():
 
 test_refuses_values_without_meaning = refusals(
     lambda changes: QuietStanding(**{"layout": LAYOUT, "mass": MASS, "start": NOMINAL, **changes}),
-    ({"mass": 0.0}, "'mass' must be positive and finite, got 0.0."),
-    ({"force_noise": np.nan}, "'force_noise' must be positive and finite, got nan."),
-    ({"com_error": -1.0}, "'com_error' must not be negative and must be finite, got -1.0."),
+    ({"mass": 0.0}, "'mass' must be finite and positive, got 0.0."),
+    ({"force_noise": np.nan}, "'force_noise' must be finite and positive, got nan."),
+    ({"com_error": -1.0}, "'com_error' must be finite and not negative, got -1.0."),
     ({"minimum_samples": 0}, "'minimum_samples' must be a whole number from 1 on, got 0."),
     ({"minimum_samples": np.nan}, "'minimum_samples' must be a whole number from 1 on, got nan"),
     (
@@ -340,5 +340,5 @@ def test_absurd_readings_are_dropped_and_a_time_without_meaning_is_refused():
     standing = QuietStanding(layout=LAYOUT, mass=MASS, start=PERFECT)
     assert standing_start(standing, raw, beliefs(com[0], 320), DT).stats.dropped == 1
     for dt in (0.0, np.nan):
-        with pytest.raises(ValueError, match=f"'dt' must be positive and finite, got {dt}"):
+        with pytest.raises(ValueError, match=f"'dt' must be finite and positive, got {dt}"):
             standing_start(standing, raw, beliefs(com[0], 320), dt)

@@ -91,10 +91,10 @@ def test_channels_that_are_not_read_wait():
 
 test_options_without_meaning_are_refused = refusals(
     lambda options: SwingTare(**options),
-    ({"settle": -0.1}, "'settle' must not be negative and must be finite, got -0.1"),
-    ({"spread": 0.0}, "'spread' must be positive and finite, got 0.0"),
+    ({"settle": -0.1}, "'settle' must be finite and not negative, got -0.1"),
+    ({"spread": 0.0}, "'spread' must be finite and positive, got 0.0"),
     ({"minimum_samples": 0}, "'minimum_samples' must be a whole number from 1 on, got 0"),
-    ({"offset_range": float("nan")}, "'offset_range' must be positive and finite, got nan"),
+    ({"offset_range": float("nan")}, "'offset_range' must be finite and positive, got nan"),
 )
 
 

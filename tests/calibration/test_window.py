@@ -340,12 +340,12 @@ def test_the_front_end_agrees_with_the_equations_of_their_own_modules(layout):
 
 test_options_without_meaning_are_refused = refusals(
     lambda options: Window(**options),
-    ({"window": 0.0}, "'window' must be positive and finite, got 0.0"),
-    ({"delta_force": -1.0}, "'delta_force' must be positive and finite, got -1.0"),
-    ({"cutoff": -3.0}, "'cutoff' must be positive and finite, got -3.0"),
+    ({"window": 0.0}, "'window' must be finite and positive, got 0.0"),
+    ({"delta_force": -1.0}, "'delta_force' must be finite and positive, got -1.0"),
+    ({"cutoff": -3.0}, "'cutoff' must be finite and positive, got -3.0"),
     ({"every": 0}, "'every' must be a whole number from 1 on, got 0"),
     ({"iterations": 2.5}, "'iterations' must be a whole number from 1 on, got 2.5"),
-    ({"transition": -0.1}, "'transition' must not be negative and must be finite, got -0.1"),
+    ({"transition": -0.1}, "'transition' must be finite and not negative, got -0.1"),
     ({"scale_range": (1.1, 2.0)}, "'scale_range' must enclose 1"),
     ({"minimum_share": 1.5}, "'minimum_share' must be a share from 0 to 1, got 1.5"),
     ({"standing_samples": 0}, "'standing_samples' must be a whole number from 1 on, got 0"),

@@ -27,7 +27,6 @@ from surefoot.wrappers import FootSensors, SelfCalibration
 
 DEEP = "[" * 100_000 + "]" * 100_000
 DEEP_TOML = f"a = {DEEP}"
-DOTTED = ".".join("a" * 10**6) + " = 1"
 BINARY = bytes(range(256)) * 4
 
 
@@ -74,12 +73,11 @@ FILES: dict[str, tuple[str, Any, Any, str]] = {
     "JSON in Latin-1": ("a.json", text(b'"\xe9"'), read_json, "a.json: not a text in UTF-8 ("),
     "no end": ("a.json", large, read_json, "a.json: has 67108865 bytes; a text file has at most 67108864."),
     "deep TOML": ("a.toml", text(DEEP_TOML), read_toml, "a.toml: not TOML: it is nested more than 64 levels"),
-    "dotted TOML": ("a.toml", text(DOTTED), read_toml, "a.toml: not TOML: it is nested more than 64 levels"),
     "binary TOML": ("a.toml", text(BINARY), read_toml, "a.toml: not a text in UTF-8 ("),
     "a deep plan": ("a.toml", text(DEEP_TOML), read_plan, "a.toml: not TOML: it is nested more than 64"),
     "no plan": ("a.toml", lambda path: None, read_plan, "a.toml: no such file."),
     "deep topics": (
-        "a.toml", text(DOTTED), lambda path: _read_topics(Path("walk.bag"), path),
+        "a.toml", text(DEEP_TOML), lambda path: _read_topics(Path("walk.bag"), path),
         "a.toml: not TOML: it is nested more than 64 levels deep.",
     ),
     "deep settings": ("a.toml", text(DEEP_TOML), read_config, "a.toml: not TOML: it is nested more than 64"),
@@ -92,8 +90,8 @@ FILES: dict[str, tuple[str, Any, Any, str]] = {
         "a.csv", text(""), Prelude.read,
         "a.csv: not a table: it needs a line of column names; write it with surefoot calibrate motion.",
     ),
-    "a prelude from a pipe": ("a.csv", os.mkfifo, Prelude.read, "a.csv' is a named pipe and no regular file"),
-    "a prelude that is a folder": ("a.csv", os.mkdir, Prelude.read, "a.csv' is a folder and no regular file"),
+    "a prelude from a pipe": ("a.csv", os.mkfifo, Prelude.read, "a.csv' is a device, pipe or socket, not a "),
+    "a prelude that is a folder": ("a.csv", os.mkdir, Prelude.read, "a.csv' is a folder, not a regular file"),
     "a binary motion": ("a.csv", text(BINARY), CalibrationMotion.read, "a.csv: not a text in UTF-8 ("),
     "another table": (
         "a.csv", text("a,b\n1,2\n"), CalibrationMotion.read,
@@ -116,7 +114,7 @@ FILES: dict[str, tuple[str, Any, Any, str]] = {
         "a.csv", text(f"{MOTION},rest_1\n"), CalibrationMotion.read,
         "a.csv has a column twice; write it with surefoot calibrate motion.",
     ),
-    "a policy that is a pipe": ("a.npz", os.mkfifo, PolicyNetwork.load, "a.npz' is a named pipe"),
+    "a policy that is a pipe": ("a.npz", os.mkfifo, PolicyNetwork.load, "a.npz' is a device, pipe or socket"),
 }  # fmt: skip
 
 
@@ -162,7 +160,7 @@ def test_a_policy_is_saved_over_no_pipe_and_no_folder(make: Any, tmp_path: Path)
     policy = PolicyNetwork({"cop": 2}, weights, biases, posture_matrix=matrix, **how)
     make(tmp_path / "policy.npz")
     before = (tmp_path / "policy.npz").lstat()
-    with pytest.raises(ValueError, match="and no regular file; give the path of a file"):
+    with pytest.raises(ValueError, match="not a regular file; give the path of a file"):
         policy.save(tmp_path / "policy.npz")
     after = (tmp_path / "policy.npz").lstat()
     assert (after.st_ino, after.st_mode) == (before.st_ino, before.st_mode)

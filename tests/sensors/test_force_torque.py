@@ -139,7 +139,7 @@ def test_a_perfect_sensor_has_a_perfect_map():
 
 test_impossible_values_are_refused = refusals(
     lambda fields: ForceTorque(**fields),
-    ({"sensors": 0}, "ForceTorque.sensors must be a positive whole number, got 0"),
+    ({"sensors": 0}, "ForceTorque.sensors must be a whole number from 1 on, got 0"),
     ({"noise_force": -0.1}, "ForceTorque.noise_force must be finite and not negative, got -0.1"),
     ({"full_scale_torque": 0.0}, "ForceTorque.full_scale_torque must be finite and positive, got 0.0"),
     ({"resolution_force": 0.0}, "ForceTorque.resolution_torque must be zero if and only if"),

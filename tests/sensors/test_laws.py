@@ -279,7 +279,7 @@ test_impossible_laws_are_refused = refusals(
     (lambda: mounting(1.0, 1.0).init((6,), None), r"whole feet of 4 cells, got shape \(6,\)"),
     (lambda: overload(1.1, 1.0), "'share' must be at most 1, got 1.1"),
     (lambda: overload(0.1, [1.0, -1.0]), "'safe' must be finite and positive"),
-    (lambda: moving_average(0), "'count' must be a positive whole number, got 0"),
+    (lambda: moving_average(0), "'count' must be a whole number from 1 on, got 0"),
     (lambda: creep((0.1,), ()), "as many 'shares' as 'time_constants', got 1 and 0"),
     (lambda: creep((float("nan"),), (1.0,)), r"'shares' must be finite, got \(nan,\)"),
     (lambda: creep((0.1,), (0.0,)), r"'time_constants' must be finite and positive, got \(0.0,\)"),

@@ -328,7 +328,7 @@ def test_bad_input_is_refused_with_the_reason():
     with pytest.raises(ValueError, match="'severity' is given twice"):
         make(FootEquipment(severity=0.5), severity=2.0)
     for options, message in (
-        ({"num_envs": 0}, "'num_envs' must be a positive whole number"),
+        ({"num_envs": 0}, "'num_envs' must be a whole number from 1 on"),
         ({"dt": 0.0}, "'dt' must be a positive time"),
         ({"dtype": torch.int32}, "'dtype' must be torch.float32 or torch.float64"),
     ):

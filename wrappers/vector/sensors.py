@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.calibration import Parameters
-from surefoot.calibration.checks import check_flag
+from surefoot.checks import check_flag
 from surefoot.envs import FeetTruth, RobotDrawing
 from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.native import cores
