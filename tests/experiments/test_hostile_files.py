@@ -178,18 +178,18 @@ def robot() -> Any:
 
 
 LEARNT = {
-    "masses.mass": (np.nan, "'masses.mass' holds nan at (0,), and "),
-    "masses.inertia": (-1.0, "'masses.inertia' holds -1 at (0, 0), and "),
-    "masses.com": (1e6, "'masses.com' holds 1e+06 at (0, 0), and "),
-    "initial.scale": (0.0, "'initial.scale' holds 0 at (0,), and "),
-    "initial.offset": (np.inf, "'initial.offset' holds inf at (0,), and "),
-    "state.published.mean": (1e30, "'state.published.mean' holds 1e+30 at (0,), and -20 to 20 can be."),
-    "state.belief.mean": (np.nan, "'state.belief.mean' holds nan at (0, 0), and -20 to 20 can be."),
+    "masses.mass": (np.nan, "'masses.mass' is nan at (0,), outside "),
+    "masses.inertia": (-1.0, "'masses.inertia' is -1 at (0, 0), outside "),
+    "masses.com": (1e6, "'masses.com' is 1e+06 at (0, 0), outside "),
+    "initial.scale": (0.0, "'initial.scale' is 0 at (0,), outside "),
+    "initial.offset": (np.inf, "'initial.offset' is inf at (0,), outside "),
+    "state.published.mean": (1e30, "'state.published.mean' is 1e+30 at (0,), outside -20 to 20."),
+    "state.belief.mean": (np.nan, "'state.belief.mean' is nan at (0, 0), outside -20 to 20."),
 }
 HARDWARE = {
-    "telemetry.imu.bias": (np.nan, "'telemetry.imu.bias' holds nan at (0,), and "),
-    "telemetry.encoders.0.error": (np.inf, "'telemetry.encoders.0.error' holds inf at (0,), and "),
-    "instruments.cells.held": (1e30, "'instruments.cells.held' holds 1e+30 at (0,), and "),
+    "telemetry.imu.bias": (np.nan, "'telemetry.imu.bias' is nan at (0,), outside "),
+    "telemetry.encoders.0.error": (np.inf, "'telemetry.encoders.0.error' is inf at (0,), outside "),
+    "instruments.cells.held": (1e30, "'instruments.cells.held' is 1e+30 at (0,), outside "),
 }
 
 

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from surefoot.checks import check_count
 from surefoot.wrappers.gpu.kernels import Kernel
 
 RobotIds = Tensor | slice | Sequence[int] | int | None
@@ -82,8 +83,7 @@ class BatchModule(nn.Module, ABC):
         counter: Counter | None,
     ) -> None:
         super().__init__()
-        if not isinstance(num_envs, int) or isinstance(num_envs, bool) or num_envs < 1:
-            raise ValueError(f"'num_envs' must be a positive whole number, got {num_envs!r}.")
+        num_envs = check_count("num_envs", num_envs)
         if not 0.0 < dt < float("inf"):
             raise ValueError(f"'dt' must be a positive time between steps in s, got {dt}.")
         if dtype not in DTYPES:
