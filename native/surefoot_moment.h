@@ -46,7 +46,8 @@
 
 /* Constants by their names in Python: of filter.py, model.py, tare.py, severity.py, health.py, modes.py, motion.py. */
 typedef struct {
-    int components, capacity, held, talks;
+    int components, capacity, held, talks, carries;
+    sf_real below[SF_CHANNELS * 3], com_below[SF_FEET * 3]; /* Blocks: W by m/s^2; m */
     int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show a vertical force, and those of it */
     sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, mass_std, ahead, kept_time, longest_pause, product_time;
     sf_real largest_error, level, least_read, held_chance;
@@ -1995,6 +1996,29 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
     s->waiting = 1;
 }
 
+/* Blocks._load_below: subtract the load of the feet below their sensors at a sample; a: scales. */
+SF_API void sf_take_off(const sf_config *c, const sf_moment_config *m, const sf_real *a, const sf_real *before,
+                        sf_real *row, const sf_real *after) {
+    int K = c->channels, at = sf_at_sole(c), turned = sf_at_rotation(c);
+    sf_real passed = row[sf_at_dt(c)], next = after[sf_at_dt(c)];
+    for (int foot = 0; foot < c->feet; foot++) {
+        const sf_real *rows[3] = {before, row, after}, *R = row + turned + 9 * foot;
+        sf_real x[3][3], felt[3], load[3];
+        for (int t = 0; t < 3; t++) {
+            sf_turn(x[t], rows[t] + turned + 9 * foot, m->com_below + 3 * foot);
+            sf_add(x[t], 1, rows[t] + at + 3 * foot, 3);
+        }
+        for (int k = 0; k < 3; k++)
+            felt[k] = ((x[2][k] - x[1][k]) / next - (x[1][k] - x[0][k]) / passed) / ((passed + next) / 2) +
+                      (k == 2 ? c->gravity : 0);
+        for (int k = 0; k < 3; k++)
+            load[k] = (k == 2 ? c->gravity : 0) - (R[k] * felt[0] + R[3 + k] * felt[1] + R[6 + k] * felt[2]);
+        for (int i = 0; i < K; i++)
+            if (c->foot_of_channel[i] == foot)
+                row[i] -= sf_dot(m->below + 3 * i, load, 3) / sf_clip(a[i], SF_LEAST_LEAP_SCALE, SF_LARGEST_LEAP_SCALE);
+    }
+}
+
 /* Blocks.collect: put a sample to those that wait. */
 SF_API void sf_collect(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, const sf_reference *reference,
                        const sf_real *past, sf_real dt) {
@@ -2028,6 +2052,7 @@ SF_API void sf_collect(const sf_config *c, const sf_moment_config *m, sf_moment_
     if (s->waiting > 1) {
         const sf_real *before = s->waiting > 2 ? row - 2 * sf_waiting(c) : s->before;
         sf_smooth(c, before, row - sf_waiting(c), row, 1);
+        if (m->carries) sf_take_off(c, m, s->published.mean, before, row - sf_waiting(c), row);
     }
 }
 

@@ -136,7 +136,7 @@ typedef struct {
     sf_real age[SF_CHANNELS];     /* mean age of readings in s */
     sf_real scale[SF_CHANNELS], offset[SF_CHANNELS], lowest[SF_CHANNELS], highest[SF_CHANNELS];
     sf_real wrench_map[SF_FEET * 6 * SF_CHANNELS];
-    sf_real leap, leap_alone[SF_CHANNELS], landing_kept, renewal;
+    sf_real leap, leap_alone[SF_CHANNELS], renewal;
     sf_real prior[SF_CHANNELS * SF_CHANNELS], by_others[SF_CHANNELS * SF_CHANNELS];
 } sf_config;
 
@@ -171,7 +171,7 @@ typedef struct {
 typedef struct {
     sf_real last[SF_CHANNELS];
     sf_whole leaps[SF_CHANNELS];
-    sf_real leapt[SF_CHANNELS], landed, moments[SF_CHANNELS * SF_CHANNELS], lost[SF_CHANNELS];
+    sf_real leapt[SF_CHANNELS], moments[SF_CHANNELS * SF_CHANNELS], lost[SF_CHANNELS];
     sf_whole kind[SF_CHANNELS];
     sf_real wiring[SF_CHANNELS * SF_CHANNELS], spare[SF_CHANNELS * SF_CHANNELS];
     sf_real spare_std[SF_CHANNELS], agreed[SF_CHANNELS];
@@ -633,7 +633,7 @@ SF_API void sf_channel_faults_init(const sf_config *c, sf_channel_faults *s, con
    scale: what a newton by the starting map is as far as is known; stance: which feet stand by the robot's plan. */
 SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_real *scale,
                             const unsigned char *stance, sf_real *force, int *read, sf_whole *kinds) {
-    int K = c->channels, any = 0, leaping[SF_CHANNELS], corners = s->landed >= SF_ONCE;
+    int K = c->channels, any = 0, leaping[SF_CHANNELS];
     sf_real step[SF_CHANNELS], before[SF_CHANNELS], leapt[SF_CHANNELS], total = 0;
     if (s->altered) {
         int was[SF_CHANNELS];
@@ -653,13 +653,12 @@ SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_r
         step[i] = sf_fabs(force[i] - s->last[i]) *
                   sf_clip(sf_fabs(scale[i]), SF_LEAST_LEAP_SCALE, SF_LARGEST_LEAP_SCALE);
         s->leapt[i] *= SF_BUMP_MEMORY;
-        sf_real most = corners && !stance[c->foot_of_channel[i]] ? c->leap : c->leap_alone[i];
+        sf_real most = stance[c->foot_of_channel[i]] ? c->leap_alone[i] : c->leap;
         leaping[i] = step[i] > most;
         any = any || leaping[i];
         kinds[i] = s->kind[i];
         if (s->leaps[i] > 0 && s->leaps[i] <= SF_LONGEST_LEAP && read[i] && step[i] < SF_BACK * most) kinds[i] |= SF_SPIKE;
     }
-    s->landed *= c->landing_kept;
     if (!any) {
         sf_copy(s->last, force, K);
         for (int i = 0; i < K; i++) s->leaps[i] = read[i] ? 0 : SF_LONGEST_LEAP + 1;
@@ -671,7 +670,6 @@ SF_API void sf_fault_sample(const sf_config *c, sf_channel_faults *s, const sf_r
         for (int j = 0; j < K; j++)
             if (j != i && c->foot_of_channel[j] == c->foot_of_channel[i]) others = sf_max(others, step[j]);
         leaping[i] = leaping[i] && read[i] && step[i] > SF_ALONE * others;
-        if (leaping[i] && s->leaps[i] == SF_LONGEST_LEAP && !stance[c->foot_of_channel[i]]) s->landed += 1;
         leaping[i] = leaping[i] && s->leaps[i] < SF_LONGEST_LEAP;
         leapt[i] = s->leapt[i] + (sf_real)(leaping[i] && s->leaps[i] == 0);
         total += s->leapt[i];

@@ -1,7 +1,15 @@
-"""Samples that wait until a block's time is full, and blocks made of them.
+r"""Samples that wait until a block's time is full, and blocks made of them.
 
-A block with a gap, a bad reference or a foot that is not read teaches nothing, and the robot's momentum
-starts again behind it.
+Nothing is learnt from a block with a gap, a bad reference or a foot that is not read, and the momentum starts
+again after it.
+
+A six-axis sensor also carries the foot below it, of mass m. A level foot at rest counts as part of the zero.
+What remains is, with the acceleration x'' of the foot's centre of mass in the axes that do not turn and the
+rotation R from the sole's frame to these,
+
+.. math:: f = m \, (g e_z - R^T (x'' + g e_z)) .
+
+It is subtracted from the readings. Otherwise a swing shows its mean, 2 N under a G1 that walks, as a zero.
 """
 
 from math import ceil
@@ -9,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surefoot.calibration.arrays import Array, in_a_row
+from surefoot.calibration.arrays import Array, in_a_row, skew
 from surefoot.calibration.front_end.readings import LONGEST_GAP, FrontEnd, Sample
-from surefoot.calibration.moment.faults import ChannelFaults
+from surefoot.calibration.moment.faults import USABLE_SCALES, ChannelFaults
 from surefoot.calibration.moment.motion import Track, follow_accelerations, follow_momentum, plausible
 from surefoot.calibration.moment.state import MomentState
 from surefoot.calibration.setup import OnlineSetup
@@ -59,6 +67,9 @@ class Blocks:
     Attributes:
         capacity: Most samples of a block.
         width: Numbers of a sample, S.
+        below: Force on each channel in W by the foot below its sensor, per m/s^2 of f / m, shape (K, 3).
+        carries: Whether any sensor carries a foot.
+        com_below: Centre of mass of that foot in the sole's frame in m, shape (F, 3).
     """
 
     def __init__(self, front_end: FrontEnd, duration: float, faults: ChannelFaults) -> None:
@@ -66,11 +77,21 @@ class Blocks:
         self._motions, self._duration = front_end.motions, duration
         self._feet = len(self._setup.layout.feet)
         self._faults = faults
-        K, F = self._setup.layout.channels, self._feet
+        layout = self._setup.layout
+        K, F = layout.channels, self._feet
         places = in_a_row(K, K, 3, 3, 3, 3, 3 * F, 9 * F, F, 1)
         self._columns = dict(zip(Block._fields, places, strict=True))
         self.capacity = ceil(duration / self._setup.dt) + ceil(LONGEST_GAP)
         self.width = int(self._columns["dt"].stop)
+        self.below, self.com_below = np.zeros((K, 3)), np.zeros((F, 3))
+        for i, (foot, part) in enumerate(zip(layout.feet, layout.slices, strict=True)):
+            for sensor in foot.sensors:
+                if sensor.six_axis and sensor.mass_below > 0.0:
+                    self.com_below[i] = sensor.com_below_sole
+                    load = sensor.mass_below * np.vstack([np.eye(3), skew(sensor.com_below_sole)])
+                    at = np.arange(part.start, part.stop)[sensor.channels]
+                    self.below[at] = np.linalg.solve(sensor.wrench_map, load) / self._setup.weight
+        self.carries = bool(self.below.any())
 
     def collect(self, state: MomentState, sample: Sample, momentum: bool, dt: float) -> MomentState:
         """Put a sample to those that wait.
@@ -106,7 +127,24 @@ class Blocks:
             before = pending[state.waiting - 2] if state.waiting > 1 else state.before
             at, width = state.waiting - 1, self._columns["read"].stop
             pending[at, :width] = self._faults.smooth(before[:width], pending[at, :width], row[:width], 1.0)
+            if self.carries:
+                scale = state.published.mean[: len(sample.past)]
+                pending[at, : len(scale)] -= self._load_below(before, pending[at], row) / np.clip(
+                    scale, *USABLE_SCALES
+                )
         return state._replace(track=track, pending=pending, waiting=state.waiting + 1)
+
+    def _load_below(self, before: Array, row: Array, after: Array) -> Array:
+        """Return the load of the feet below their sensors at a sample in W, shape (K,), by its neighbours."""
+        rows, columns, gravity = np.stack([before, row, after]), self._columns, self._setup.gravity
+        R = rows[:, columns["rotation"]].reshape(3, -1, 3, 3)
+        x = rows[:, columns["sole"]].reshape(3, -1, 3) + np.einsum("nfij,fj->nfi", R, self.com_below)
+        dt = rows[1:, columns["dt"]]
+        velocity = np.diff(x, axis=0) / dt[:, :, None]
+        felt = np.diff(velocity, axis=0)[0] / dt.mean() + (0.0, 0.0, gravity)
+        load = np.array([0.0, 0.0, gravity]) - np.einsum("fji,fj->fi", R[1], felt)
+        force: Array = (self.below * load[self._setup.layout.foot_of_channel]).sum(axis=1)
+        return force
 
     def break_off(self, state: MomentState) -> MomentState:
         """Forget the samples that wait, and the momentum."""

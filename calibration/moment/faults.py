@@ -2,8 +2,9 @@
 
 Four things give a channel away:
 
-* **It leaps.** A force that is away from the last by more than a foot can is held, for a few samples; not
-  while several channels leap within seconds, as those of a robot that bounces do.
+* **It leaps.** A force that differs from the last one by more than a foot can cause is held for a few
+  samples. Cells of a foot that is not surely on the ground may change far more, as it may land on a corner.
+  Nothing is held while several channels leap within seconds, as those of a robot that bounces do.
 * **It is silent**: no reading arrives, or always the same one while the foot's other channels move.
 * **It bears nothing**: it moves by less than a tenth of what the other cells of its plate say that it bears,
   and the robot's motion misses that load. So is a cell found that is dead from the start: scales of the
@@ -26,8 +27,8 @@ from surefoot.calibration.setup import OnlineSetup
 
 LONGEST_LEAP = 3  # samples in a row that a reading may be away before it is believed
 
-_LEAP_SCALES = 0.3, 3.0
-"""Scales that leaps are counted with at least and at most: an estimate that is wrong must not blind it."""
+USABLE_SCALES = 0.3, 3.0
+"""Least and greatest scale by which leaps and loads are converted, in case the estimate is wrong."""
 
 _BACK = 0.25
 """Share of the least leap within which a reading that comes back is where it was: what loads change by in two
@@ -45,10 +46,7 @@ _BUMPY = 1.5
 _BUMP_MEMORY = 0.993
 """Share of the count of leaps that a sample keeps: it is that of some 140 samples."""
 
-LANDING_TIME = 600.0
-"""Time in s for which a robot is known to land on one cell of a foot: it is its feet's shape."""
-
-_ONCE = 0.5  # count of leaps or of landings of late from which on there was one
+_ONCE = 0.5  # recent count of leaps above which there was one
 
 _MOVING = 0.02
 """Change of a reading within a block in body weights that shows that the foot's load changes."""
@@ -94,8 +92,6 @@ class ChannelState(NamedTuple):
     """Samples in a row that were held for leaping, shape (K,); more than are held where the last one was not
     read."""
     leapt: Array  # how often each channel leapt of late, shape (K,)
-    landed: float
-    """How often a cell alone of a foot in the air leapt and stayed of late: a landing on a corner."""
     moments: Array  # how cells share loads, shape (K, K)
     lost: Array  # channels that are out (0 or 1), shape (K,)
     kind: Array  # flags of each channel's faults, shape (K,)
@@ -122,22 +118,19 @@ class ChannelFaults:
     Args:
         setup: The robot.
         leap: Change of a force in one sample in body weights that no foot makes.
-        leap_alone: The same of one cell of a foot that stands, or of a robot that lands on no cell alone.
+        leap_alone: The same of one cell of a foot that stands.
         memory: Blocks that shares of load are remembered for.
 
     Attributes:
         stand_in: How cells share loads.
         by_others: How each channel follows from the others by the plate alone, shape (K, K).
         leap: Change of a force in one sample in N that no foot makes.
-        leap_alone: The same of a foot that stands, or of a robot that lands on no cell alone, in N,
-            shape (K,).
-        landing_kept: Share of the count of landings that a sample keeps.
+        leap_alone: The same of a foot that stands in N, shape (K,).
     """
 
     def __init__(self, setup: OnlineSetup, leap: float, leap_alone: float, memory: float) -> None:
         self.stand_in = StandIn(setup, memory)
         self.leap = leap * setup.weight
-        self.landing_kept = float(np.exp(-setup.dt / LANDING_TIME))
         self._weight = setup.weight
         self._foot_of_channel = foot = setup.layout.foot_of_channel
         self._plates = self.stand_in.together - np.eye(setup.layout.channels)
@@ -154,7 +147,6 @@ class ChannelFaults:
             last=resting,
             leaps=np.full(K, LONGEST_LEAP + 1, dtype=np.int64),
             leapt=zero,
-            landed=0.0,
             moments=self.stand_in.init(),
             lost=zero,
             kind=np.zeros(K, dtype=np.int64),
@@ -188,10 +180,9 @@ class ChannelFaults:
         """
         if state.altered:
             force, read = state.wiring @ force, np.abs(state.wiring) @ read > 0.5
-        step = np.abs(force - state.last) * np.clip(np.abs(scale), *_LEAP_SCALES)
-        stands = stance[self._foot_of_channel]
-        most = np.where(stands | (state.landed < _ONCE), self.leap_alone, self.leap)
-        state = state._replace(leapt=_BUMP_MEMORY * state.leapt, landed=self.landing_kept * state.landed)
+        step = np.abs(force - state.last) * np.clip(np.abs(scale), *USABLE_SCALES)
+        most = np.where(stance[self._foot_of_channel], self.leap_alone, self.leap)
+        state = state._replace(leapt=_BUMP_MEMORY * state.leapt)
         leaping = step > most
         was_away = (state.leaps > 0) & (state.leaps <= LONGEST_LEAP)
         kind = state.kind | int(Flag.SPIKE) * (was_away & read & (step < _BACK * most))
@@ -201,15 +192,13 @@ class ChannelFaults:
         # A foot that lands moves several of its cells.
         others = (step * self._same_foot).max(axis=1)
         leaping = leaping & read & (step > _ALONE * others)
-        stayed = leaping & (state.leaps == LONGEST_LEAP)
         leaping = leaping & (state.leaps < LONGEST_LEAP)
         leapt = state.leapt + (leaping & (state.leaps == 0))
         leaping = leaping & (state.leapt.sum() - state.leapt < _BUMPY)
         leaps = np.where(leaping, state.leaps + 1, np.where(read, 0, LONGEST_LEAP + 1))
         used = np.where(leaping, state.last, force)
         flags = kind | int(Flag.OUT_OF_RANGE) * leaping
-        landed = state.landed + float((stayed & ~stands).sum())
-        state = state._replace(last=used, leaps=leaps, leapt=leapt, landed=landed)
+        state = state._replace(last=used, leaps=leaps, leapt=leapt)
         return state, used, read & ~leaping, flags
 
     def smooth(self, before: Array, row: Array, after: Array, weight: float) -> Array:

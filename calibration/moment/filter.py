@@ -52,8 +52,8 @@ the time between samples in body weights a second: a G1 by two policies lands wi
 corner within 20 ms."""
 
 LEAP_ALONE, LEAP_ALONE_RATE = 0.075, 12.0
-"""The same of one cell of a foot that stands, or of a robot that lands on no cell alone. At 80 Hz 0.15: on
-NAO, OP3 and T1 no cell passed it; on a G1 by policy cells do as it lands on the corners of its feet."""
+"""The same of one cell of a foot that is surely on the ground: 0.15 at 80 Hz, which no cell of a NAO, OP3 or
+T1 exceeded."""
 
 SHARES_TIME = 20.0  # time in s over which is learnt how the cells of a foot share its load
 

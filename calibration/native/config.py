@@ -169,7 +169,7 @@ def _robot(front: FrontEnd, faults: ChannelFaults | None) -> tuple[Any, ...]:
     """List the sources of a robot's constants, by their names in ``sf_config``."""
     setup, (lowest, highest) = front.setup, front.plausible
     own = {"feet": len(setup.layout.feet), "lowest": lowest, "highest": highest}
-    without: dict[str, Any] = dict.fromkeys(("leap", "landing_kept", "renewal"), 0.0)
+    without: dict[str, Any] = dict.fromkeys(("leap", "renewal"), 0.0)
     without |= dict.fromkeys(("leap_alone", "prior", "by_others", "cells", "together"), np.zeros(0))
     of_faults = [part for part in (faults, faults and faults.stand_in) if part]
     return own, front, setup, setup.layout, setup.initial, front.motions, *of_faults, without

@@ -263,9 +263,8 @@ def test_leaps_are_those_of_calibrated_forces(scale, leap, held):
     weight = SETUP.weight
     faults = ChannelFaults(SETUP, 0.25, 0.15, 100.0)
     resting, read = np.full(8, 5.0), np.ones(8, dtype=bool)
-    air = np.zeros(2, dtype=bool)  # of a robot that lands on corners
+    air = np.zeros(2, dtype=bool)
     state, *_ = faults.sample(faults.init(resting), resting, read, np.ones(8), air)
-    state = state._replace(landed=1.0)
     force, scales = resting.copy(), np.ones(8)
     force[3] += leap * weight
     scales[3] = scale
@@ -279,27 +278,21 @@ def test_leaps_are_those_of_calibrated_forces(scale, leap, held):
 @pytest.mark.parametrize(
     ("channels", "leap", "held"), [([3], 0.2, True), ([3], 0.1, False), ([3, 2], 0.2, False)]
 )
-def test_a_cell_alone_leaps_but_in_the_air_of_a_robot_that_lands_on_corners(channels, leap, held):
+def test_a_cell_alone_leaps_only_on_a_foot_that_stands(channels, leap, held):
     faults = ChannelFaults(SETUP, 0.25, 0.15, 100.0)
     resting, read, stance = np.full(8, 5.0), np.ones(8, dtype=bool), np.array([True, False])
     rested, *_ = faults.sample(faults.init(resting), resting, read, np.ones(8), stance)
-    landed = rested
-    for _ in range(5):
-        force = resting + 0.2 * SETUP.weight * (np.arange(8) == 7)
-        landed, *_ = faults.sample(landed, force, read, np.ones(8), stance)
-    assert landed.landed == pytest.approx(1.0, abs=0.01)
-    for state in (rested, landed._replace(leapt=rested.leapt, last=resting)):
-        for foot in (0, 1):
-            force = resting.copy()
-            force[np.array(channels) + 4 * foot] += leap * SETUP.weight
-            away, *_, flags = faults.sample(state, force, read, np.ones(8), stance)
-            expected = held and (foot == 0 or state is rested)
-            assert ((flags & int(Flag.OUT_OF_RANGE)) > 0).any() == expected
-            # One that comes back was a spike, and one that stays away a load.
-            *_, flags = faults.sample(away, resting, read, np.ones(8), stance)
-            assert ((flags & int(Flag.SPIKE)) > 0).any() == expected
-            *_, flags = faults.sample(away, 0.5 * (force + resting), read, np.ones(8), stance)
-            assert not (flags & int(Flag.SPIKE)).any()
+    for foot in (0, 1):
+        force = resting.copy()
+        force[np.array(channels) + 4 * foot] += leap * SETUP.weight
+        away, *_, flags = faults.sample(rested, force, read, np.ones(8), stance)
+        expected = held and foot == 0
+        assert ((flags & int(Flag.OUT_OF_RANGE)) > 0).any() == expected
+        # One that comes back was a spike, and one that stays away a load.
+        *_, flags = faults.sample(away, resting, read, np.ones(8), stance)
+        assert ((flags & int(Flag.SPIKE)) > 0).any() == expected
+        *_, flags = faults.sample(away, 0.5 * (force + resting), read, np.ones(8), stance)
+        assert not (flags & int(Flag.SPIKE)).any()
 
 
 @pytest.mark.parametrize(
