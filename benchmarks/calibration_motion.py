@@ -168,11 +168,11 @@ def bound_table(budget: float) -> Table:
 
     before = plan_foot_excitation(layout, able, budget).covariance_before
     found = {"nothing": cop_std(before, layout, judge), "the plan": bound()}
-    for name in ("step @ 1.4", "sway forward 1.4 @ 0.5", "sway left 1.4 @ 0.5", "squat @ 1"):
+    for name in ("lift @ 1.4", "sway forward 1.4 @ 0.5", "sway left 1.4 @ 0.5", "squat @ 1"):
         found[f"{name} alone"] = bound([name] * int(budget / length[name]))
     sways = ["sway forward 1.4 @ 0.5", "sway left 1.4 @ 0.5"]
-    mixed = ["step @ 1.4"] * 2 + sways * int((budget - 10.1) / 10.6)
-    found["steps for a quarter, then slow sways"] = bound(mixed)
+    mixed = ["lift @ 1.4"] * 2 + sways * int((budget - 10.1) / 10.6)
+    found["lifts for a quarter, then slow sways"] = bound(mixed)
     rng = np.random.default_rng(0)
     bounds = sorted(bound(draw_order(length, budget, rng)) for _ in range(RANDOM))
     found |= {f"{RANDOM} random orders, the best": bounds[0]}

@@ -1,12 +1,13 @@
-r"""Plans of a robot's motions to calibrate its feet: the motions that lower the bound most per second.
+r"""Choose calibration motions that lower the posterior bound of a robot's feet the most per second.
 
-The posterior bound (:mod:`surefoot.calibration.excitation.bound`) of a motion needs no estimate and no drawn
-error: the covariance after it follows from the covariance before it, the motion, and the model that the
-moment filter assumes. A plan is made from motions that all start and end in one posture, so that any can
-follow any. It is found forward in time: whatever ends within the same half second competes, the ten orders
-with the least standard deviation of the goal stay, and each goes on with every motion. Scales and offsets
-drift while the robot moves, which is part of the covariance; a motion can therefore bring less than nothing.
-This is not the optimum; ``benchmarks/calibration_motion.py`` holds it against other orders.
+The posterior bound (:mod:`surefoot.calibration.excitation.bound`) after a motion follows from the covariance
+before it, the motion, and the model that the moment filter assumes. It needs neither an estimate nor drawn
+errors. All motions start and end in the same posture, so that they can be played in any order.
+
+A plan is a beam search forward in time. Sequences that end within the same half second compete, and the ten
+with the lowest standard deviation of the goal are continued with each motion. Scales and offsets drift while
+the robot moves, so that a motion can also increase the bound. The result is not the optimum;
+``benchmarks/calibration_motion.py`` compares it with other sequences.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from surefoot.arrays import Floats
-from surefoot.calibration.excitation.bound import LogPassages, Passage
+from surefoot.calibration.excitation.bound import LogPassages
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.parameters import Parameters
@@ -25,11 +26,11 @@ from surefoot.calibration.reference import Reference
 from surefoot.calibration.setup import OnlineSetup, setup_from_options
 from surefoot.checks import check_value
 
-PIECE = 0.5  # pieces in s that time is cut into: of what ends within the same one, the best is kept
-KEPT = 10  # how many are kept of each
+PIECE = 0.5  # duration in s within which sequences of motions compete; chosen
+KEPT = 10  # number of sequences that are continued from each piece; chosen
 
 GOALS = ("cop", "channel")
-"""What a plan lowers: the error of the centre of pressure, or that of the worst channel's force."""
+"""Goals: the standard deviation of the centre of pressure, or that of the worst channel's force."""
 
 
 class FootMotion(NamedTuple):
@@ -102,48 +103,36 @@ def plan_foot_excitation(
     Raises:
         ValueError: If an argument has no meaning, there is no such motion, or none fits into the budget.
     """
-    _check_plan(robot, budget, goal, motions)
-    setup, rest = setup_from_options(
-        layout, mass=robot.mass, initial=None, dt=robot.dt, lag=robot.lag, options=options
-    )
-    config = Moment(**rest)
-    logs = {name: _passages_of(setup, motion, config) for name, motion in robot.motions.items()}
-    first = next(iter(logs.values()))
-    choice = _Choice(
-        _Aim(goal, logs),
-        {name: log.whole() for name, log in logs.items()},
-        {name: robot.dt * len(motion.force) for name, motion in robot.motions.items()},
-        first.start,
-    )
-    chosen = choice.best(budget, enough) if motions is None else list(motions)
-    if not chosen:
-        shortest = min(choice.length.values())
-        raise ValueError(
-            f"No motion is chosen: the goal's {choice.std([]):.3g} are no more than 'enough', {enough:g}, or "
-            f"nothing fits into a budget of {budget:g} s; the shortest motion takes {shortest:g} s."
-        )
-    std = [choice.std(chosen[: k + 1]) for k in range(len(chosen))]
-    before = choice.std([])
-    rates = {name: float(np.log(before / choice.std([name])) / choice.length[name]) for name in logs}
-    return FootExcitation(
-        goal=goal,
-        motions=tuple(chosen),
-        time=np.cumsum([choice.length[name] for name in chosen]),
-        before=before,
-        std=np.array(std),
-        rates=MappingProxyType(rates),
-        covariance_before=first.of_parameters(first.start, 0),
-        covariance=first.of_parameters(choice.covariance(chosen), 0),
-    )
-
-
-def _check_plan(robot: MovingRobot, budget: float, goal: str, motions: Sequence[str] | None) -> None:
-    """Raise ValueError if arguments of :func:`plan_foot_excitation` have no meaning."""
     check_value("budget", budget, positive=True)
     if goal not in GOALS:
         raise ValueError(f"'goal' must be one of {GOALS}, got '{goal}'.")
     if unknown := [name for name in motions or () if name not in robot.motions]:
         raise ValueError(f"The robot cannot do '{unknown[0]}'. It can do: {', '.join(robot.motions)}.")
+    setup, rest = setup_from_options(
+        layout, mass=robot.mass, initial=None, dt=robot.dt, lag=robot.lag, options=options
+    )
+    planner = _Planner(setup, robot, goal, Moment(**rest))
+    start = planner.after([])
+    chosen = planner.search(budget, enough) if motions is None else list(motions)
+    if not chosen:
+        shortest = min(planner.length.values())
+        raise ValueError(
+            f"No motion is chosen: the goal's {start.std:.3g} are no more than 'enough', {enough:g}, or "
+            f"nothing fits into a budget of {budget:g} s; the shortest motion takes {shortest:g} s."
+        )
+    done = [planner.after(chosen[: k + 1]) for k in range(len(chosen))]
+    single = {name: planner.after([name]) for name in robot.motions}
+    rates = {name: float(np.log(start.std / after.std) / after.time) for name, after in single.items()}
+    return FootExcitation(
+        goal=goal,
+        motions=tuple(chosen),
+        time=np.array([after.time for after in done]),
+        before=start.std,
+        std=np.array([after.std for after in done]),
+        rates=MappingProxyType(rates),
+        covariance_before=planner.log.of_parameters(start.covariance, 0),
+        covariance=planner.log.of_parameters(done[-1].covariance, 0),
+    )
 
 
 def _passages_of(setup: OnlineSetup, motion: FootMotion, config: Moment) -> LogPassages:
@@ -151,62 +140,27 @@ def _passages_of(setup: OnlineSetup, motion: FootMotion, config: Moment) -> LogP
     return LogPassages(setup, *motion, Parameters(np.ones(shape), np.zeros(shape)), config)
 
 
-class _Choice:
-    """Motions to choose among.
+class _Sequence(NamedTuple):
+    """Motions one after the other, and the result."""
 
-    ``aim`` is the quantity to lower, ``passages`` the effect of each motion on a covariance, ``length`` how
-    long each takes in s, ``start`` the covariance before, (N, N).
+    std: float  # the goal's standard deviation after them
+    time: float  # their duration in s
+    names: tuple[str, ...]
+    covariance: Floats  # of the filter's unknowns after them, shape (N, N)
+
+
+class _Planner:
+    """Evaluates sequences of a robot's motions.
+
+    The goal's variance is the largest of some traces :math:`tr(W S)`, with :math:`S` the covariance of the
+    scales and offsets. ``length`` is the duration of each motion in s, ``log`` the passages of the first one.
     """
 
-    def __init__(
-        self, aim: "_Aim", passages: Mapping[str, Passage], length: Mapping[str, float], start: Floats
-    ) -> None:
-        self._aim, self._passages, self._start, self.length = aim, passages, start, length
-
-    def covariance(self, names: Sequence[str]) -> Floats:
-        """Return the covariance after motions."""
-        covariance = self._start
-        for name in names:
-            covariance = self._passages[name].after(covariance)
-        return covariance
-
-    def std(self, names: Sequence[str]) -> float:
-        """Return the goal's standard deviation after motions."""
-        return self._aim.std(self.covariance(names))
-
-    def best(self, budget: float, enough: float) -> list[str]:
-        """Return the motions with the least deviation within a time, or the first with ``enough``."""
-        pieces = int(budget / PIECE + 1e-9)
-        waiting: list[list[_Way]] = [[] for _ in range(pieces + 1)]
-        waiting[0] = [_Way(self._aim.std(self._start), 0.0, (), self._start)]
-        best = waiting[0][0]
-        for ways in waiting:
-            for way in sorted(ways, key=lambda way: way.std)[:KEPT]:
-                if best.std <= enough:
-                    return list(best.names)
-                for name, passage in self._passages.items():
-                    time = way.time + self.length[name]
-                    if time <= budget + 1e-9:
-                        covariance = passage.after(way.covariance)
-                        longer = _Way(self._aim.std(covariance), time, (*way.names, name), covariance)
-                        waiting[min(int(time / PIECE), pieces)].append(longer)
-                        best = min(best, longer, key=lambda way: way.std)
-        return list(best.names)
-
-
-class _Way(NamedTuple):
-    """Some motions one after the other, and the knowledge after them."""
-
-    std: float
-    time: float
-    names: tuple[str, ...]
-    covariance: Floats
-
-
-class _Aim:
-    """The value of a covariance for the goal: the largest of some traces, trace(W S)."""
-
-    def __init__(self, goal: str, logs: Mapping[str, LogPassages]) -> None:
+    def __init__(self, setup: OnlineSetup, robot: MovingRobot, goal: str, config: Moment) -> None:
+        logs = {name: _passages_of(setup, motion, config) for name, motion in robot.motions.items()}
+        self.length = {name: robot.dt * len(motion.force) for name, motion in robot.motions.items()}
+        self.log = next(iter(logs.values()))
+        self._passages = {name: log.whole() for name, log in logs.items()}
         weights = []
         for log in logs.values():
             to_force, _, to_cop = log.error_rows(slice(None))
@@ -216,9 +170,35 @@ class _Aim:
             else:
                 weights.append(np.einsum("nip,niq->ipq", to_force, to_force) / len(to_force))
         self._weights = np.mean(weights, axis=0)
-        self._log = next(iter(logs.values()))
 
-    def std(self, covariance: Floats) -> float:
-        """Return the goal's standard deviation."""
-        traces = np.einsum("kpq,qp->k", self._weights, self._log.of_parameters(covariance, 0))
+    def after(self, names: Sequence[str]) -> _Sequence:
+        """Return the result of motions in an order."""
+        result = _Sequence(self._std(self.log.start), 0.0, (), self.log.start)
+        for name in names:
+            result = self._then(result, name)
+        return result
+
+    def search(self, budget: float, enough: float) -> list[str]:
+        """Return the best motions within a time in s, or the first whose deviation is ``enough``."""
+        pieces = int(budget / PIECE + 1e-9)
+        waiting: list[list[_Sequence]] = [[] for _ in range(pieces + 1)]
+        waiting[0] = [best := self.after([])]
+        for ends in waiting:
+            for sequence in sorted(ends, key=lambda one: one.std)[:KEPT]:
+                if best.std <= enough:
+                    return list(best.names)
+                for name in self._passages:
+                    if sequence.time + self.length[name] <= budget + 1e-9:
+                        longer = self._then(sequence, name)
+                        waiting[min(int(longer.time / PIECE), pieces)].append(longer)
+                        best = min(best, longer, key=lambda one: one.std)
+        return list(best.names)
+
+    def _then(self, sequence: _Sequence, name: str) -> _Sequence:
+        covariance = self._passages[name].after(sequence.covariance)
+        time, names = sequence.time + self.length[name], (*sequence.names, name)
+        return _Sequence(self._std(covariance), time, names, covariance)
+
+    def _std(self, covariance: Floats) -> float:
+        traces = np.einsum("kpq,qp->k", self._weights, self.log.of_parameters(covariance, 0))
         return float(np.sqrt(traces.max()))

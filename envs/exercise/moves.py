@@ -1,4 +1,4 @@
-"""The moves of an exercise, motions by their names, and the list of motions to choose among."""
+"""The moves of an exercise, and calibration motions by name: sways, squats and lifts."""
 
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
@@ -12,9 +12,9 @@ SWAYS: Final = ("forward", "left", "forward left", "forward right")
 """Lines of the sways over both feet, there and back."""
 
 EXTENTS: Final = (1.4, 1.0, 0.5)
-"""Extents of the motions that are offered, as shares of a path: the first that a robot can do."""
+"""Extents of the offered sways, as shares of a path. The first that a robot can do is used."""
 
-TEMPOS: Final = (0.5, 1.0, 1.4)  # tempos that they are offered with: factors on all speeds
+TEMPOS: Final = (0.5, 1.0, 1.4)  # tempos of the offered motions: factors on all speeds
 
 
 class Move(NamedTuple):
@@ -59,52 +59,45 @@ class Schedule(NamedTuple):
 def motions_of(name: str) -> list[Move]:
     """Return the moves of a motion that starts and ends in the middle, on both feet.
 
-    The name has the kind, how far as a share of its path, and with "@" at which tempo, which is 1 otherwise:
-    "sway forward 1.5", "squat 1 @ 0.5", "shift left", "stand left", "lean left 1" (stand on one foot and sway
-    about it), "step" (in place, one foot after the other) or "march" (twice that, without a halt in the
-    middle). Other names are refused with a ValueError.
+    A name has the kind, its extent as a share of the path, and after "@" the tempo, a factor on all speeds.
+    Both numbers default to 1.
+
+    * "sway forward 1.4", "sway forward left": to one side, to the other and back.
+    * "squat 1 @ 0.5": down and up again.
+    * "lift @ 1.4": stand on the left foot, then on the right one, and lift the other. It has no extent.
+
+    Raises:
+        ValueError: If there is no such motion.
     """
     what, _, tempo = name.partition("@")
     words = what.split()
     try:
         scale = 1.0 / float(tempo or 1.0)
-        extent = float(words.pop()) if words[-1][-1].isdigit() else 1.0
+        extent = float(words.pop()) if words[-1][-1].isdigit() and words[0] != "lift" else 1.0
     except (IndexError, ValueError, ZeroDivisionError):
         words, scale, extent = [], 1.0, 1.0
-    kind, of = words[0] if words else "", " ".join(words[1:])
-    feet = {"left": 0, "right": 1}
-    if kind == "sway" and of in SWAYS:
-        moves = [Move(of, 0.0, extent, 1.0), Move(of, extent, -extent, 1.6), Move(of, -extent, 0.0, 1.0)]
-    elif kind == "squat" and not of:
+    kind, way = words[0] if words else "", " ".join(words[1:])
+    if kind == "sway" and way in SWAYS:
+        moves = [Move(way, 0.0, extent, 1.0), Move(way, extent, -extent, 1.6), Move(way, -extent, 0.0, 1.0)]
+    elif kind == "squat" and not way:
         moves = [Move("squat", 0.0, extent, 1.0), Move("squat", extent, 0.0, 1.0)]
-    elif kind == "shift" and of in feet:
-        moves = [Move(f"shift {feet[of]}", *ends, 1.6) for ends in ((0.0, 1.0), (1.0, 0.0))]
-    elif kind in ("stand", "lean") and of in feet:
-        turns = {} if kind == "stand" else {"pitch": extent, "roll": extent}
-        moves = one_leg(feet[of], turns)
-    elif kind == "step" and not of:
-        moves = [*one_leg(0, {}, 0.6), *one_leg(1, {}, 0.6)]
-    elif kind == "march" and not of:
-        # From foot to foot without a halt in the middle: two steps with each.
-        moves = []
-        for k in range(4):
-            over = one_leg(k % 2, {}, 0.6)
-            middle = [Move("across", float(k % 2), float(1 - k % 2), 2.4)]
-            moves += [*over[: 1 if k == 0 else 0], *over[1:-1], *(over[-1:] if k == 3 else middle)]
+    elif kind == "lift" and not way:
+        # From foot to foot without a stop in the middle.
+        on_left, on_right = (one_leg(foot, {}, 0.6) for foot in (0, 1))
+        moves = [*on_left[:-1], Move("across", 0.0, 1.0, 2.4), *on_right[1:]]
     else:
         raise ValueError(
-            f"There is no motion '{name}'. There are 'sway' with one of {SWAYS}, 'squat', 'step', 'march', "
-            "and 'shift', 'stand' and 'lean' with 'left' or 'right'; then an extent such as 1.5, and a tempo "
-            "such as '@ 0.5'."
+            f"There is no motion '{name}'. There are 'sway' with one of {SWAYS}, 'squat' and 'lift'; then an "
+            "extent such as 1.5 (not for 'lift'), and a tempo such as '@ 0.5'."
         )
     moves = [move._replace(time=move.time * scale) for move in moves]
     return [*moves[:-1], moves[-1]._replace(ends=True)]
 
 
 def one_leg(foot: int, turns: dict[str, float], pause: float = 1.0) -> list[Move]:
-    """Return the moves by which a robot stands on one foot and sways about it by "pitch" and "roll", so far.
+    """Return the moves by which a robot stands on one foot, with sways about "pitch" and "roll" by an extent.
 
-    ``pause`` is a factor on the time that it waits between moves, and that a lift takes.
+    ``pause`` is a factor on the pauses between moves and on the duration of a lift.
     """
     moves = [Move(f"shift {foot}", 0.0, 1.0, 1.6), Move(f"shift {foot}", 1.0, 1.0, 0.2 * pause)]
     moves += [Move(f"lift {foot}", 0.0, 1.0, pause), Move(f"lift {foot}", 1.0, 1.0, 0.3 * pause)]
@@ -117,13 +110,6 @@ def one_leg(foot: int, turns: dict[str, float], pause: float = 1.0) -> list[Move
 
 
 def list_motions() -> list[list[str]]:
-    """Return names of motions to choose among, of every kind, direction and tempo: farther ones first."""
-    fixed = [
-        "squat",
-        "step",
-        "march",
-        *(f"{kind} {foot}" for kind in ("shift", "stand") for foot in ("left", "right")),
-    ]
-    scaled = [*(f"sway {way}" for way in SWAYS), "lean left", "lean right"]
-    kinds = [[kind] for kind in fixed] + [[f"{kind} {extent:g}" for extent in EXTENTS] for kind in scaled]
+    """Return lists of alternatives to choose among, in each list the largest motion first."""
+    kinds = [["squat"], ["lift"], *([f"sway {way} {extent:g}" for extent in EXTENTS] for way in SWAYS)]
     return [[f"{name} @ {tempo:g}" for name in names] for names in kinds for tempo in TEMPOS]

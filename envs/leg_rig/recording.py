@@ -192,7 +192,7 @@ class _Motion(NamedTuple):
         """Return the motion at another point of the body."""
         return self._replace(proper=self.proper_at(arm))
 
-    def pitched(self, angle: Floats) -> "_Motion":
+    def turn(self, angle: Floats) -> "_Motion":
         """Return the motion in axes turned by an angle about y, shape (n,)."""
         return _Motion(*(_pitch(-angle, part) for part in self))
 
@@ -218,8 +218,8 @@ def _record(configuration: int, motion: HipMotion, knee_slack: float) -> RigReco
     below = _body((*_SHANK, *_FOOT, *added), KNEE_IN_LEG)
     for _ in range(_KNEE_ITERATIONS if knee_slack > 0.0 else 0):
         # The spring carries the load's torque about the knee's axis, y.
-        angle = knee_slack * knee.pitched(angle).wrench(below)[:, 4]
-    shank = knee.pitched(angle)
+        angle = knee_slack * knee.turn(angle).wrench(below)[:, 4]
+    shank = knee.turn(angle)
     foot = shank.at(FOOT_IN_LEG - KNEE_IN_LEG)
     carried = shank.wrench(below)
     force, torque = _pitch(angle, carried[:, :3]), _pitch(angle, carried[:, 3:])

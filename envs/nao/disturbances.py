@@ -72,12 +72,20 @@ class PayloadRange(NamedTuple):
     mass: tuple[float, float]  # in kg
     time: tuple[float, float]  # after the initial stand in s
     boxes: Floats  # corners of boxes in the torso's frame in m, shape (boxes, 2, 3)
+    stand_time: float  # duration of the initial stand in s
 
     @classmethod
-    def checked(
-        cls, mass: Sequence[float], time: Sequence[float], boxes: Sequence[Sequence[Sequence[float]]]
-    ) -> "PayloadRange":
-        """Return ranges, or raise ValueError naming the option that is out of its range."""
+    def of(
+        cls, mass: Sequence[float] | None, time: Any, boxes: Any, stand_time: float, payload: Any
+    ) -> "PayloadRange | None":
+        """Return ranges, ``None`` without a mass; ValueError names the option that is out of its range."""
+        if mass is None:
+            return None
+        if payload is not None:
+            raise ValueError(
+                f"Pass either 'payload' or 'payload_mass', got {payload!r} and {mass!r}: an episode has one "
+                "payload."
+            )
         try:
             corners = np.array(boxes, dtype=np.float64)
         except (TypeError, ValueError):
@@ -87,11 +95,12 @@ class PayloadRange(NamedTuple):
                 "'payload_boxes' must be boxes of a lowest and a highest corner in m, shape (boxes, 2, 3), "
                 f"at least one and all finite; got {boxes!r}."
             )
-        return cls(check_range("payload_mass", mass), check_range("payload_time", time), corners)
+        ranges = check_range("payload_mass", mass), check_range("payload_time", time)
+        return cls(*ranges, corners, stand_time)
 
-    def draw(self, rng: np.random.Generator, stand_time: float) -> tuple[float, float, list[float]]:
+    def draw(self, rng: np.random.Generator) -> tuple[float, float, list[float]]:
         """Draw mass in kg, time of the episode in s and place in the torso's frame in m."""
-        mass, time = rng.uniform(*self.mass), stand_time + rng.uniform(*self.time)
+        mass, time = rng.uniform(*self.mass), self.stand_time + rng.uniform(*self.time)
         low, high = self.boxes[rng.integers(len(self.boxes))]
         return mass, time, rng.uniform(low, high).tolist()
 

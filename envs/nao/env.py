@@ -215,8 +215,7 @@ class NaoEnv(BipedEnv):
         self._friction = check_range("friction", friction)
         self._joint_noise = positive("joint_noise", joint_noise, or_zero=True)
         self._velocity_noise = positive("velocity_noise", velocity_noise, or_zero=True)
-        self._cop_scale = positive("cop_scale", cop_scale)
-        self._cop_weight = positive("cop_weight", cop_weight, or_zero=True)
+        self._cop_reward = positive("cop_weight", cop_weight, or_zero=True), positive("cop_scale", cop_scale)
         check_render_mode(render_mode, self.metadata["render_modes"])
 
         model = nao_model()
@@ -237,18 +236,11 @@ class NaoEnv(BipedEnv):
         self._draw_by(SceneRenderer(model, self.data, camera, width, height), render_mode)
         self.motor_names = motor_names(model)
         self.position_cell_sole = cell_positions(model)
-        give = check_time_constant("ground_time_constant", ground_time_constant)
-        model.pair_solref[:, 0] = give
-        self._sink = SINK * (give / GROUND_TIME_CONSTANT) ** SINK_EXPONENT
+        self._soften_ground(check_time_constant("ground_time_constant", ground_time_constant))
         self._payload = Payload(model, payload, CONTROL_STEP)
-        self._payload_range = None
-        if payload_mass is not None:
-            self._payload_range = PayloadRange.checked(payload_mass, payload_time, payload_boxes)
-            if payload is not None:
-                raise ValueError("Pass either 'payload' or 'payload_mass': an episode has one payload.")
+        self._payload_range = PayloadRange.of(payload_mass, payload_time, payload_boxes, stand_time, payload)
         self.stand_time = stand_time if quiet_start else 0.0
         self.quiet_ticks = round(self.stand_time / CONTROL_STEP)
-        self._stand_time = stand_time
         self._pushes = Pushes(model, push_impulse, push_interval, CONTROL_STEP, quiet_time=self.stand_time)
         self._motor_of_joint = motor_of_joint(model)
         self.fastest = model.actuator_user[:, 0] * CONTROL_STEP
@@ -259,6 +251,11 @@ class NaoEnv(BipedEnv):
         """The drawing by the robot's maker: nao.xml without an episode's changes."""
         return draw_nao()
 
+    def _soften_ground(self, time_constant: float) -> None:
+        """Set the contacts' time constant in s, and how far the standing robot sinks in with it."""
+        self.model.pair_solref[:, 0] = time_constant
+        self._sink = SINK * (time_constant / GROUND_TIME_CONSTANT) ** SINK_EXPONENT
+
     def disturb(self, data: Any, tick: int, prepares: bool) -> bool:
         """Push the robot, and hand it its payload, as drawn."""
         if not prepares:
@@ -268,7 +265,7 @@ class NaoEnv(BipedEnv):
     def draw_payload(self) -> None:
         """Draw the payload of an episode, if it is random."""
         if self._payload_range is not None:
-            self._payload.plan(*self._payload_range.draw(self.np_random, self._stand_time))
+            self._payload.plan(*self._payload_range.draw(self.np_random))
 
     def read(self, rows: Floats) -> FeetTruth:
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
@@ -276,8 +273,9 @@ class NaoEnv(BipedEnv):
 
     def base_reward(self, seen: Seen, cop_error_x: float, cop_error_y: float) -> dict[str, float]:
         """Return the terms that all tasks have, for errors of the centre of pressure in m in a frame."""
-        near = closeness(cop_error_x, cop_error_y, self._cop_scale) if seen.cop_valid else 0.0
-        return {"reward_alive": 1.0, "reward_cop": self._cop_weight * near, "reward_action": seen.effort}
+        weight, scale = self._cop_reward
+        near = closeness(cop_error_x, cop_error_y, scale) if seen.cop_valid else 0.0
+        return {"reward_alive": 1.0, "reward_cop": weight * near, "reward_action": seen.effort}
 
     def reward(self, seen: Seen) -> dict[str, float]:
         """Return the terms of the reward, by name."""

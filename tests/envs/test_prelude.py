@@ -15,7 +15,7 @@ def stage():
 
 @pytest.fixture(scope="module")
 def short(stage):
-    return stage.motion.prelude(["squat @ 1.4", "shift left @ 1.4"], stage.dt)
+    return stage.motion.prelude(["squat @ 1.4", "lift @ 1.4"], stage.dt)
 
 
 def zero(env):
@@ -64,9 +64,7 @@ def test_every_motion_starts_and_ends_in_the_middle(stage):
         # Targets go on where they were: nothing jumps from one move to the next.
         assert np.abs(np.diff(plan.commands.joint_target, axis=0)).max() < 0.12
         assert not (plan.commands.stance & plan.commands.swing).any()
-        assert plan.commands.swing.any(axis=0).sum() == {"stand": 1, "lean": 1, "step": 2, "march": 2}.get(
-            names[-1].split()[0], 0
-        )
+        assert plan.commands.swing.any(axis=0).sum() == (2 if names[-1].startswith("lift") else 0)
     np.testing.assert_array_equal(stage.motion.qpos, first)
 
 

@@ -28,16 +28,16 @@ def test_a_robot_is_offered_what_it_can_do(stage):
 
 
 def test_a_plan_is_played_and_written(monkeypatch, tmp_path):
-    offered = [["squat @ 1.4"], ["sway forward 1.4 @ 1.4", "sway forward 1 @ 1.4"], ["step @ 1.4"]]
+    offered = [["squat @ 1.4"], ["sway forward 1.4 @ 1.4", "sway forward 1 @ 1.4"], ["lift @ 1.4"]]
     monkeypatch.setattr(module, "list_motions", lambda: offered)
     planned = plan_motion("nao", 12.0)
     names = [name for names in offered for name in names]
     assert set(planned.plan.motions) <= set(names) - {"sway forward 1.4 @ 1.4"}
-    assert "step @ 1.4" in planned.plan.motions
+    assert "lift @ 1.4" in planned.plan.motions
     assert planned.prelude.duration == pytest.approx(planned.plan.time[-1], abs=0.1)
     segments, rates, refused = (table.rows for table in planned.tables)
     assert [row[0] for row in segments] == list(planned.plan.motions)
-    assert {row[0] for row in rates} == {"squat @ 1.4", "sway forward 1 @ 1.4", "step @ 1.4"}
+    assert {row[0] for row in rates} == {"squat @ 1.4", "sway forward 1 @ 1.4", "lift @ 1.4"}
     assert [row[0] for row in refused] == ["sway forward 1.4 @ 1.4"]
     planned.prelude.write(tmp_path / "nao_motion.csv")
     player = CalibrationMotion.read(tmp_path / "nao_motion.csv")
