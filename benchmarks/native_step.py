@@ -195,7 +195,7 @@ def walk(steps: int) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
 def constants(env: Any, sensors: Any) -> str:
     """Return the robot in C: its constants, and its cells and random numbers as an episode begins."""
     equipment, telemetry = sensors.equipment, sensors.telemetry
-    streams, cells = equipment.streams(0), equipment.fitted.native["cells"]
+    streams, cells = equipment.streams(0), equipment.instruments.native["cells"]
     library = require(CALIBRATION.installed())
     assert cells is not None
     drawn = cells.pack(equipment.instruments.init(streams).cells)

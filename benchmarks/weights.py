@@ -161,7 +161,7 @@ def weigh_after_walk(seed: int = 0, methods: tuple[str, ...] = ("window", "momen
         for _ in range(round(WALK / sensors.source.dt)):
             *_, info = env.step(np.zeros(env.action_space.shape or ()))
         maps[method] = Parameters(**info["surefoot"]["parameters"])
-        state = sensors.robot.hardware().instruments.cells
+        state = sensors.robot.hardware().cells
         env.close()
     return weigh(state=state, seed=seed, maps=maps)
 

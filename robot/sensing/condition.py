@@ -27,6 +27,9 @@ class Condition(NamedTuple):
     faults: tuple[Fault, ...]  # the scheduled faults
 
 
+AS_STATED = Condition(1.0, ())  # sensors as bad as their configuration states, without faults
+
+
 class Conditions(NamedTuple):
     """The distribution of a robot's condition."""
 

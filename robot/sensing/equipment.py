@@ -3,7 +3,7 @@
 import re
 from dataclasses import replace
 from hashlib import sha256
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from surefoot.envs import RobotDrawing
 from surefoot.robot.sensing.condition import (
@@ -16,16 +16,11 @@ from surefoot.robot.sensing.device import device_for_feet
 from surefoot.robot.sensing.foot_equipment import FootEquipment
 from surefoot.robot.sensing.instruments import Instruments, check_capacity, usual_cells
 from surefoot.robot.streams import check_stream, device_streams
-from surefoot.sensors import Encoders, Imu, channel_faults, scaled
-from surefoot.sensors.corruption import Corruption
-from surefoot.sensors.devices.native_device import NativeDevice, native_here
-from surefoot.sensors.devices.native_kinds import FAULTS, Broken
-from surefoot.sensors.faults.channels import FaultState
+from surefoot.sensors import Encoders, Imu
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout, timely_link
 from surefoot.sensors.telemetry.native import telemetry_of
-from surefoot.sensors.transport.wire import check_wire
 
 NAO_JOINT: Final = "LHipYawPitch"
 """The joint by which a NAO is known: its hips share one motor, and no other robot's joint is called so."""
@@ -35,17 +30,6 @@ NAO_COMPUTER: Final = ("nao-imu", "nao-encoders", "nao-wlan")
 
 ONBOARD_COMPUTER: Final = ("onboard-imu", "onboard-encoders", "onboard-500hz")
 """Those of a robot that computes on board."""
-
-
-class Fitted(NamedTuple):
-    """The instruments under one robot's feet, in its condition."""
-
-    condition: Condition  # how bad it is
-    instruments: Instruments  # the instruments under the feet
-    broken: Corruption[FaultState] | None  # the faults of channels, or ``None``
-    native: dict[str, NativeDevice | None]
-    """Both as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None`` where it has no room
-    for."""
 
 
 class Equipment:
@@ -61,12 +45,11 @@ class Equipment:
 
     Attributes:
         seldom: The same.
-        instruments: The instruments under the feet.
+        instruments: The instruments under a robot's feet before anything is drawn.
         drawing: The robot.
         packet: Columns of a packet of its telemetry.
         fresh: Whether every reset draws fresh sensors.
         conditions: The distribution of a robot's condition.
-        fitted: The instruments under a robot's feet before anything is drawn.
         computer: Names of the presets of IMU, encoders and link; ``"custom"`` for others.
 
     Raises:
@@ -93,12 +76,11 @@ class Equipment:
         self._dt = dt
         lowest, highest = severity_range(given.severity)
         # Of both ends, so that a severity that a device cannot have is refused here.
-        self.fitted, *_ = [self.fit(Condition(end, ())) for end in dict.fromkeys((lowest, highest))]
-        self._cells = self.fitted.instruments.layout.feet[0].channel_names
+        self.instruments, *_ = [self.fit(Condition(end, ())) for end in dict.fromkeys((lowest, highest))]
+        self._cells = self.instruments.layout.feet[0].channel_names
         self.conditions = Conditions(lowest, highest, *faults_of(given.faults, drawing.sides, self._cells))
-        if self.conditions.usual != self.fitted.condition:
-            self.fitted = self.fit(self.conditions.usual)
-        self.instruments = self.fitted.instruments
+        if self.conditions.usual != self.instruments.condition:
+            self.instruments = self.fit(self.conditions.usual)
         check_capacity([part.config for part in self.instruments.parts], drawing)
         names = NAO_COMPUTER if NAO_JOINT in joint_names else ONBOARD_COMPUTER
         imu = names[0] if given.imu is None else given.imu
@@ -130,23 +112,13 @@ class Equipment:
         self.fit(Condition(conditions.usual.severity, given))
         return conditions._replace(faults=given, chances=chances)
 
-    def fit(self, condition: Condition) -> Fitted:
+    def fit(self, condition: Condition) -> Instruments:
         """Make the instruments under the feet of a robot in some condition.
 
         Raises:
             ValueError: If a device cannot be so bad, or a fault names a channel that is not there.
         """
-        severity = condition.severity
-        devices = [part if severity == 1.0 else scaled(part, severity) for part in self._devices]
-        for device in devices:
-            check_wire(device, self._dt)
-        instruments = Instruments(tuple(devices), self.drawing, self._dt)
-        native = {part.name: native_here(part.kind, part.config) for part in instruments.parts}
-        if not condition.faults:
-            return Fitted(condition, instruments, None, native)
-        broken = channel_faults(condition.faults, instruments)
-        native["faults"] = native_here(FAULTS, Broken(condition.faults, instruments))
-        return Fitted(condition, instruments, broken, native)
+        return Instruments(tuple(self._devices), self.drawing, self._dt, condition)
 
     def streams(self, seed: int | None) -> dict[str, Stream]:
         """Return the random streams of one robot's devices; nobody knows them without a seed."""

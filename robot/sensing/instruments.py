@@ -17,14 +17,18 @@ from numpy.typing import NDArray
 from surefoot.arrays import Floats
 from surefoot.calibration import FeetLayout, FootLayout, Parameters
 from surefoot.envs import RobotDrawing
+from surefoot.robot.sensing.condition import AS_STATED, Condition
 from surefoot.robot.sensing.device import FootDevice, first_steps
-from surefoot.sensors import ForceTorque, LoadCells, force_torque, load_cells, sized
+from surefoot.sensors import ForceTorque, LoadCells, channel_faults, force_torque, load_cells, scaled, sized
 from surefoot.sensors.corruption import Corruption, Rng
 from surefoot.sensors.devices.force_torque import ForceTorqueState
 from surefoot.sensors.devices.load_cells import LoadCellState, true_map, with_true_map
-from surefoot.sensors.devices.native_kinds import CELLS, FORCE_TORQUE
+from surefoot.sensors.devices.native_device import native_here
+from surefoot.sensors.devices.native_kinds import CELLS, FAULTS, FORCE_TORQUE, Broken
+from surefoot.sensors.faults.channels import FaultState
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.sensors.stages.shear import mix
+from surefoot.sensors.transport.wire import check_wire
 
 USUAL_LENGTH = 0.2
 """Length in m of a foot that has none, such as a sphere: errors of moments are stated in its terms."""
@@ -33,11 +37,16 @@ PEAK: Final = 1.5
 """What a foot has to bear in body weights: the robot on one foot, and half as much again when it lands."""
 
 
-class InstrumentsState(NamedTuple):
-    """State that hardware keeps while the power is on."""
+class HardwareState(NamedTuple):
+    """State that hardware keeps while the power is on, whatever happens to the robot."""
 
     cells: Any = ()  # state of the load cells, or ``()``
     ankles: Any = ()  # state of the six-axis sensors, or ``()``
+    faults: Any = ()  # state of the faults of channels, also of random ones, which last for an episode
+    telemetry: Any = None
+    """IMU and encoders (:class:`~surefoot.sensors.telemetry.computer.Hardware`), or ``None`` where nobody
+    listens."""
+    severity: float | None = None  # factor of its errors, or ``None`` where it is the same for all robots
 
 
 class CellsUnderFeet:
@@ -46,7 +55,7 @@ class CellsUnderFeet:
     One is enough for a foot that touches at a point, such as a quadruped's; its force acts there.
 
     Attributes:
-        name: Where their state stands in :class:`InstrumentsState`.
+        name: Where their state stands in :class:`HardwareState`.
         kind: Their kind in the library.
         device: Their errors.
 
@@ -142,7 +151,7 @@ class SensorsInAnkles:
     """A six-axis sensor in each ankle, read once a control step of ``dt`` s.
 
     Attributes:
-        name: Where their state stands in :class:`InstrumentsState`.
+        name: Where their state stands in :class:`HardwareState`.
         kind: Their kind in the library.
         device: Their errors.
 
@@ -211,7 +220,17 @@ class SensorsInAnkles:
 class Instruments:
     """All instruments under the feet: one kind, or load cells and six-axis sensors, as one row of K channels.
 
+    Args:
+        devices: Load cells, six-axis sensors, or one of each.
+        drawing: The robot.
+        dt: Duration of a control step in s.
+        condition: How bad they are; as the devices state it, without faults, when not given.
+
     Attributes:
+        condition: The same.
+        broken: The faults of channels; ``None`` without any.
+        native: Parts and faults as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None``
+            where it has no room for one.
         channels: Their number K.
         parts: Load cells first.
         order: Where each of the K channels stands in the rows of the parts one after another, shape (K,).
@@ -228,7 +247,19 @@ class Instruments:
         ValueError: If an instrument does not fit the robot, or a kind is given twice.
     """
 
-    def __init__(self, devices: tuple[FootDevice, ...], drawing: RobotDrawing, dt: float) -> None:
+    def __init__(
+        self,
+        devices: tuple[FootDevice, ...],
+        drawing: RobotDrawing,
+        dt: float,
+        condition: Condition = AS_STATED,
+    ) -> None:
+        self.condition = condition
+        devices = tuple(
+            device if condition.severity == 1.0 else scaled(device, condition.severity) for device in devices
+        )
+        for device in devices:
+            check_wire(device, dt)
         kinds = [type(device) for device in devices]
         if not kinds or len(set(kinds)) < len(kinds):
             raise ValueError(
@@ -260,19 +291,42 @@ class Instruments:
             self.space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         self.age = self.parts[0].age
         self.ages = self.join([np.full(part.channels, part.age) for part in self.parts])
+        self._add_faults()
+
+    def _add_faults(self) -> None:
+        """Build the faults and the library's devices."""
+        self.native = {part.name: native_here(part.kind, part.config) for part in self.parts}
+        self.broken: Corruption[FaultState] | None = None
+        if faults := self.condition.faults:
+            self.broken = channel_faults(faults, self)
+            self.native["faults"] = native_here(FAULTS, Broken(faults, self))
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Faults refer to these instruments, and are built again from them.
+        return {name: part for name, part in vars(self).items() if name not in ("native", "broken")}
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        vars(self).update(kept)
+        self._add_faults()
 
     def first_steps(self, dt: float) -> list[float]:
         """Return :func:`~surefoot.robot.sensing.device.first_steps` of these, dt apart."""
         return first_steps(tuple(part.config for part in self.parts), dt)
 
-    def init(self, streams: Mapping[str, Rng]) -> InstrumentsState:
-        """Draw instruments, each from its own stream, by name."""
-        drawn = {part.name: part.device.init((part.channels,), streams[part.name]) for part in self.parts}
-        return InstrumentsState(**drawn)
+    def init(self, streams: Mapping[str, Rng]) -> HardwareState:
+        """Draw instruments and faults, each from its own stream, by name."""
+        drawn: dict[str, Any] = {
+            part.name: part.device.init((part.channels,), streams[part.name]) for part in self.parts
+        }
+        return HardwareState(**drawn, faults=self.init_faults(streams))
+
+    def init_faults(self, streams: Mapping[str, Rng]) -> Any:
+        """Draw the state of the faults alone; ``()`` without any."""
+        return () if self.broken is None else self.broken.init((self.channels,), streams["faults"])
 
     def read(
-        self, truth: Any, state: InstrumentsState, streams: Mapping[str, Rng], dt: float
-    ) -> tuple[Floats, InstrumentsState]:
+        self, truth: Any, state: HardwareState, streams: Mapping[str, Rng], dt: float
+    ) -> tuple[Floats, HardwareState]:
         """Read them after a control step of ``dt`` s, each with noise from its own stream, by name.
 
         Returns:
@@ -284,19 +338,24 @@ class Instruments:
             reading, after = device.apply(part.load(truth), getattr(state, part.name), streams[part.name], dt)
             readings.append(reading)
             state = state._replace(**{part.name: after})
-        return readings[0] if self._one else self.join(readings), state
+        raw = readings[0] if self._one else self.join(readings)
+        if self.broken is not None:
+            raw, faults = self.broken.apply(raw, state.faults, streams["faults"], dt)
+            state = state._replace(faults=faults)
+        return raw, state
 
-    def with_load(self, truth: Any, state: InstrumentsState) -> InstrumentsState:
+    def with_load(self, truth: Any, state: HardwareState) -> HardwareState:
         """Return the state under the loads of now, at an episode start."""
         for part in self.parts:
-            state = state._replace(**{part.name: part.with_load(truth, getattr(state, part.name))})
+            loaded: dict[str, Any] = {part.name: part.with_load(truth, getattr(state, part.name))}
+            state = state._replace(**loaded)
         return state
 
-    def true_map(self, state: InstrumentsState) -> Parameters:
+    def true_map(self, state: HardwareState) -> Parameters:
         """Return the map that undoes their errors now: truth, to score calibrators against."""
         return self._parameters([part.true_map(getattr(state, part.name)) for part in self.parts])
 
-    def with_map(self, state: InstrumentsState, true: Parameters) -> InstrumentsState:
+    def with_map(self, state: HardwareState, true: Parameters) -> HardwareState:
         """Return the state of load cells that a map undoes; ValueError for other instruments."""
         config = self.parts[0].config
         if not (self._one and isinstance(config, LoadCells)):

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from surefoot.arrays import Floats
 from surefoot.envs.instrumentation.robot import SensedColumns
 from surefoot.native import SENSORS, PointerRecord, Record, call_for_many
-from surefoot.robot.sensing.instruments import CellsUnderFeet, Instruments, InstrumentsState
-from surefoot.robot.sensing.python import HardwareState, PythonSensing, Seen
+from surefoot.robot.sensing.instruments import CellsUnderFeet, HardwareState, Instruments
+from surefoot.robot.sensing.python import PythonSensing, Seen
 from surefoot.sensors.devices.native_device import NativeDevice
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.native import NativeTelemetry
@@ -79,7 +79,7 @@ class NativeSensing:
             self.telemetry_state = self.telemetry_state or telemetry.empty()
         observed, to, taken = _NOTHING if self._view is None else self._view.state_places()
         self._observed = observed if len(observed) else None
-        channels, shown = (python.fitted.instruments.channels,), (len(observed),)
+        channels, shown = (python.instruments.channels,), (len(observed),)
         self._seen = Record(
             np.dtype([("raw", "f8", channels), ("counts", "f4", channels), ("state", "f4", shown)])
         )
@@ -98,7 +98,7 @@ class NativeSensing:
 
     def _parts_of(self, python: PythonSensing) -> dict[str, Any]:
         """Return sizes, where readings are taken, and what devices and telemetry hold, by the names there."""
-        instruments, telemetry = python.fitted.instruments, self._telemetry
+        instruments, telemetry = python.instruments, self._telemetry
         first, *more = instruments.first_steps(python.dt)
         where, (rows, columns) = self.places.columns, self.places.shape
         numbers: dict[str, Any] = {
@@ -130,7 +130,7 @@ class NativeSensing:
 
     def _arrays_of(self, python: PythonSensing, observed: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
         """Return the arrays that the library reads and fills, by the names in the record."""
-        now, view, instruments = self._seen.now, self._view, python.fitted.instruments
+        now, view, instruments = self._seen.now, self._view, python.instruments
         (newest, held), (low, high) = python.kept, (observed, observed) if view is None else view.bounds
         arrays = {"newest": newest, "held": held, "observed": observed, "low": low, "high": high}
         arrays |= {"raw": now["raw"], "shown": now["state"], "counts": now["counts"]}
@@ -161,19 +161,16 @@ class NativeSensing:
     def take(self, hardware: HardwareState) -> None:
         """Go on with other hardware."""
         for name, state in self._states.items():
-            state.put(hardware.faults if name == "faults" else getattr(hardware.instruments, name))
+            state.put(getattr(hardware, name))
         if self._telemetry is not None and hardware.telemetry is not None:
             self._telemetry.put(self.telemetry_state, hardware.telemetry)
 
     def hardware(self) -> HardwareState:
         """Return the present hardware, as a copy."""
         states = {name: state.python() for name, state in self._states.items()}
-        faults, telemetry = states.pop("faults", ()), self._telemetry
-        return HardwareState(
-            InstrumentsState(**states),
-            faults,
-            None if telemetry is None else telemetry.hardware(self.telemetry_state),
-        )
+        if self._telemetry is not None:
+            states["telemetry"] = self._telemetry.hardware(self.telemetry_state)
+        return HardwareState(**states)
 
     def python(self) -> PythonSensing:
         """Return the Python object that goes on from here."""
@@ -185,7 +182,7 @@ class NativeSensing:
 
     def begin(self, truth: Any, at_rest: Floats, fresh: bool, observation: Any) -> Seen:
         """Start an episode, in a truth that has the same places."""
-        maps = _maps(truth, self._spec.fitted.instruments)
+        maps = _maps(truth, self._spec.instruments)
         assert maps is not None
         for part, now in zip(self.places.map, maps, strict=True):
             part[...] = now
@@ -280,14 +277,14 @@ class ManySensing:
 
 def native_sensing(python: PythonSensing) -> SensingBackend:
     """Return a reader that goes on by the library, or as it is where a part of the robot does not fit."""
-    fitted, telemetry, view, places = python.fitted, python.telemetry, python.view, python.places
-    devices = {name: device for name, device in fitted.native.items() if device is not None}
-    if places is None or len(devices) < len(fitted.native):
+    instruments, telemetry, view, places = python.instruments, python.telemetry, python.view, python.places
+    devices = {name: device for name, device in instruments.native.items() if device is not None}
+    if places is None or len(devices) < len(instruments.native):
         return python
     if view is not None and view.bounds[0].dtype != np.float32:
         return python
     if telemetry is not None and not isinstance(telemetry, NativeTelemetry):
         return python
-    for part in fitted.instruments.parts:
+    for part in instruments.parts:
         check_wire(part.config, python.dt)
     return NativeSensing(python, devices, telemetry)

@@ -1,14 +1,13 @@
 """All sensors of one robot by Python, which is the specification of :mod:`surefoot.robot.sensing.native`."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Floats
-from surefoot.robot.sensing.equipment import Fitted
-from surefoot.robot.sensing.instruments import InstrumentsState
+from surefoot.robot.sensing.instruments import HardwareState, Instruments
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.sensors.randomness import Stream
 from surefoot.sensors.telemetry.computer import Telemetry
@@ -19,22 +18,11 @@ Seen = tuple[Floats, dict[str, Any]]
 overwrites the reading, and the observation is empty."""
 
 
-class HardwareState(NamedTuple):
-    """State that stays as it is while the power is on, whatever happens to the robot."""
-
-    instruments: InstrumentsState  # the instruments under the feet
-    faults: Any  # its faults, or ``()``; of faults by chance as well, which last for an episode
-    telemetry: Any
-    """IMU and encoders (:class:`~surefoot.sensors.telemetry.computer.Hardware`), or ``None`` where nobody
-    listens."""
-    severity: float | None = None  # factor of its errors, or ``None`` where it is the same for all robots
-
-
 class PythonSensing:
     """The specification. It takes a control step of any number of substeps, of ``dt`` s together.
 
     Attributes:
-        fitted: The instruments under the feet.
+        instruments: The instruments under the feet.
         telemetry: The telemetry; ``None`` where nobody listens.
         kept: Where the newest packet's values and the counts that are held lie.
         view: The view, if an observation is put together.
@@ -52,13 +40,14 @@ class PythonSensing:
 
     def __init__(
         self,
-        fitted: Fitted,
+        instruments: Instruments,
         telemetry: Telemetry | None,
         dt: float,
         kept: tuple[Floats, NDArray[np.float32]],
         view: RawView | None,
     ) -> None:
-        self.fitted, self.telemetry, self.dt, self.kept, self.view = fitted, telemetry, dt, kept, view
+        self.instruments, self.telemetry, self.dt = instruments, telemetry, dt
+        self.kept, self.view = kept, view
         self.telemetry_state, self.streams = None, {}
         self.arrived: Packets = ()
         self.places: Any = None
@@ -88,9 +77,8 @@ class PythonSensing:
 
         Before it the IMU's input was ``at_rest``, shape (6,); IMU and encoders are drawn if they are fresh.
         """
-        instruments, (under_feet, *_) = self.fitted.instruments, self.state
-        self.state = self.state._replace(instruments=instruments.with_load(truth, under_feet))
-        first, *more = instruments.first_steps(self.dt)
+        self.state = self.instruments.with_load(truth, self.state)
+        first, *more = self.instruments.first_steps(self.dt)
         raw = self._read(truth, first)
         for dt in more:
             raw = self._read(truth, dt)
@@ -125,11 +113,7 @@ class PythonSensing:
 
     def _read(self, truth: Any, dt: float) -> Floats:
         """Read the feet."""
-        fitted, (instruments, faults, *_) = self.fitted, self.state
-        raw, instruments = fitted.instruments.read(truth, instruments, self.streams, dt)
-        if fitted.broken is not None:
-            raw, faults = fitted.broken.apply(raw, faults, self.streams["faults"], dt)
-        self.state = self.state._replace(instruments=instruments, faults=faults)
+        raw, self.state = self.instruments.read(truth, self.state, self.streams, dt)
         return raw
 
     def _show(self, raw: Floats, observation: Any) -> Seen:

@@ -19,8 +19,9 @@ from surefoot.calibration.weights.known_map import is_file_of_map, read_map
 from surefoot.pickles import OfOneVersion
 from surefoot.robot.sensing.condition import Condition, channel_states
 from surefoot.robot.sensing.equipment import Equipment
+from surefoot.robot.sensing.instruments import HardwareState
 from surefoot.robot.sensing.native import SensingBackend, native_sensing, places_in
-from surefoot.robot.sensing.python import HardwareState, PythonSensing
+from surefoot.robot.sensing.python import PythonSensing
 from surefoot.robot.sensing.raw_view import RawView
 from surefoot.robot.streams import wants_fresh
 from surefoot.sensors.telemetry.computer import Telemetry
@@ -51,7 +52,7 @@ class RobotSensors(OfOneVersion):
 
     def __init__(self, equipment: Equipment, listening: bool, view: RawView | None = None) -> None:
         self.equipment, self.listening, self._view = equipment, listening, view
-        self.conditions, self._fitted = equipment.conditions, equipment.fitted
+        self.conditions, self._instruments = equipment.conditions, equipment.instruments
         self.sensors_fresh, self.clock = True, np.zeros(1)
         self.held = equipment.instruments.zero_code.astype(np.float32)
         self.newest: Floats = np.zeros(equipment.packet.size)
@@ -153,12 +154,12 @@ class RobotSensors(OfOneVersion):
 
     def true_parameters(self) -> Parameters:
         """Return the map that undoes the feet's errors now, shape (K,) each: truth, to score against."""
-        return self._fitted.instruments.true_map(self.backend.hardware().instruments)
+        return self._instruments.true_map(self.backend.hardware())
 
     @property
     def condition(self) -> Condition:
         """How bad its sensors are in this episode."""
-        return self._fitted.condition
+        return self._instruments.condition
 
     @property
     def differs(self) -> bool:
@@ -171,7 +172,7 @@ class RobotSensors(OfOneVersion):
         A channel's is 0, or 1 plus the place of its fault in :data:`~surefoot.sensors.faults.channels.KINDS`.
         """
         severity, faults = self.condition
-        states = channel_states(faults, self._fitted.instruments.channels)
+        states = channel_states(faults, self._instruments.channels)
         return {"severity": np.array(severity), "fault": states}
 
     def hardware(self) -> HardwareState:
@@ -192,22 +193,22 @@ class RobotSensors(OfOneVersion):
             backend.take(taken)
             return
         # Of another severity the instruments are others.
-        self._fitted = self.equipment.fit(self.condition._replace(severity=hardware.severity))
+        self._instruments = self.equipment.fit(self.condition._replace(severity=hardware.severity))
         python = backend.python()
-        python.fitted = self._fitted
+        python.instruments = self._instruments
         python.take(taken)
         self._backend = native_sensing(python)
 
     def take_map(self, path: str | PathLike[str]) -> None:
         """Go on with load cells that the map in a JSON file undoes."""
-        kept, instruments = self.hardware(), self._fitted.instruments
+        kept, instruments = self.hardware(), self._instruments
         true, curves = read_map(path, instruments.layout.channel_names)
         if curves.any:
             raise ValueError(
                 f"'{path}' has curves, and simulated cells have none; leave 'curves' out of it. Calibrators "
                 "take them: FootCalibrator(initial=...), SelfCalibration(initial=...)."
             )
-        self.exchange(kept._replace(instruments=instruments.with_map(kept.instruments, true)))
+        self.exchange(instruments.with_map(kept, true))
 
     def notes(self) -> dict[str, str]:
         """Name the robot and the sensors that saved hardware belongs to."""
@@ -220,13 +221,13 @@ class RobotSensors(OfOneVersion):
         Without hardware it begins with that of the episode before.
         """
         telemetry = self._telemetry if self.listening else None
-        chosen_for = self._fitted, telemetry, truth.rows.shape[1]
+        chosen_for = self._instruments, telemetry, truth.rows.shape[1]
         if chosen_for != self._chosen_for:
             hardware = hardware or self.backend.hardware()
             kept = self.newest, self.held
-            python = PythonSensing(self._fitted, telemetry, self.telemetry.dt, kept, self._view)
+            python = PythonSensing(self._instruments, telemetry, self.telemetry.dt, kept, self._view)
             python.take(hardware)
-            python.places = places_in(truth, self._fitted.instruments)
+            python.places = places_in(truth, self._instruments)
             self._backend, self._chosen_for = native_sensing(python), chosen_for
         elif hardware is not None:
             self.backend.take(hardware)
@@ -238,21 +239,17 @@ class RobotSensors(OfOneVersion):
 
         ``None`` if it is that of the episode before.
         """
-        before, streams, equipment = self._fitted, self._streams, self.equipment
-        condition = self.conditions.draw(
-            before.condition, fresh, before.instruments.channels, streams["condition"]
-        )
+        before, streams = self._instruments, self._streams
+        condition = self.conditions.draw(before.condition, fresh, before.channels, streams["condition"])
         changed = condition != before.condition
         if changed:
-            self._fitted = equipment.fit(condition)
-        instruments, broken = self._fitted.instruments, self._fitted.broken
+            self._instruments = self.equipment.fit(condition)
         if not (fresh or changed or self.conditions.chances):
             return None
-        faults = () if broken is None else broken.init((instruments.channels,), streams["faults"])
         if not fresh:
-            return self.backend.hardware()._replace(faults=faults)
-        self.held[:] = instruments.zero_code
-        return HardwareState(instruments.init(streams), faults, None)
+            return self.backend.hardware()._replace(faults=self._instruments.init_faults(streams))
+        self.held[:] = self._instruments.zero_code
+        return self._instruments.init(streams)
 
 
 class SensorsFace(ABC):

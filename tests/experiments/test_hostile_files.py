@@ -189,7 +189,7 @@ LEARNT = {
 HARDWARE = {
     "telemetry.imu.bias": (np.nan, "'telemetry.imu.bias' is nan at (0,), outside "),
     "telemetry.encoders.0.error": (np.inf, "'telemetry.encoders.0.error' is inf at (0,), outside "),
-    "instruments.cells.held": (1e30, "'instruments.cells.held' is 1e+30 at (0,), outside "),
+    "cells.held": (1e30, "'cells.held' is 1e+30 at (0,), outside "),
 }
 
 

@@ -43,7 +43,7 @@ def _copies(mode: AutoresetMode = AutoresetMode.NEXT_STEP, **options: Any) -> Sy
 
 def _cells(env: VectorFootSensors, name: str) -> np.ndarray:
     """Return a part of the state of all robots' load cells."""
-    return np.array([getattr(robot.hardware().instruments.cells, name) for robot in env.sensors.robots])
+    return np.array([getattr(robot.hardware().cells, name) for robot in env.sensors.robots])
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
