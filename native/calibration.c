@@ -153,6 +153,7 @@ static const place places[] = {
     FIELDS(view, "int", flawed, rolls),
     FIELDS(shown, "single", foot_force, foot_load, cop_foot, cop, wrench, vgrf, foot_force_std, cop_std, cop_valid,
         contact_probability, undetermined),
+    FIELDS(shown, "single", foot_force_aligned, cop_foot_aligned, cop_aligned),
     FIELDS(shown, "int", foot_flags),
     FIELDS(told, "", belief, estimate, shown),
     FIELDS(told, "real", covariance),

@@ -18,9 +18,10 @@ typedef struct {
     int flawed, rolls;
 } sf_view;
 
-/* The last centres of pressure that were defined: of all feet, its deviation, and of each foot. */
+/* The last centres of pressure that were defined: of all feet, its deviation, and that which is aligned; of each foot, and
+   those which are aligned behind them. */
 typedef struct {
-    sf_real cop[2], cop_std[2], cop_foot[2 * SF_FEET];
+    sf_real cop[2], cop_std[2], cop_aligned[2], cop_foot[4 * SF_FEET];
 } sf_held;
 
 /* The parts of an observation, by their names there. */
@@ -28,6 +29,7 @@ typedef struct {
     float foot_force[SF_CHANNELS], foot_load[SF_CHANNELS], cop_foot[2 * SF_FEET], cop[2], wrench[6 * SF_FEET];
     float vgrf[SF_FEET], foot_force_std[SF_CHANNELS], cop_std[2], cop_valid[1 + SF_FEET];
     float contact_probability[SF_FEET], undetermined[SF_CHANNELS];
+    float foot_force_aligned[SF_CHANNELS], cop_foot_aligned[2 * SF_FEET], cop_aligned[2];
     int foot_flags[SF_CHANNELS];
 } sf_shown;
 
@@ -45,6 +47,9 @@ SF_API void sf_view_show(const sf_config *c, const sf_view *v, sf_held *h, const
         out->cop_valid[1 + foot] = e->cop_foot_valid[foot] && !v->flawed;
         for (int k = 2 * foot; out->cop_valid[1 + foot] && k < 2 * foot + 2; k++)
             h->cop_foot[k] = sf_bounded(e->cop_foot[k], v->cop_bound);
+        for (int k = 2 * foot; !v->flawed && k < 2 * foot + 2; k++)
+            if (sf_finite(e->cop_foot_aligned[k]))
+                h->cop_foot[2 * c->feet + k] = sf_bounded(e->cop_foot_aligned[k], v->cop_bound);
         load += fz;
         x += sole[0] * fz - sole[2] * ty - sole[3] * tx;
         y += sole[1] * fz - sole[3] * ty + sole[2] * tx;
@@ -54,18 +59,28 @@ SF_API void sf_view_show(const sf_config *c, const sf_view *v, sf_held *h, const
         out->contact_probability[foot] = (float)e->contact_probability[foot];
     }
     if (out->cop_valid[0]) {
-        h->cop[0] = sf_bounded(x / load, v->cop_bound);
-        h->cop[1] = sf_bounded(y / load, v->cop_bound);
+        sf_real measured[2] = {x / load, y / load};
+        for (int k = 0; k < 2; k++) {
+            /* the estimate has the same differences, in level axes that head nearly the same way */
+            sf_real aligned = measured[k] + (e->cop_aligned[k] - e->cop_measured[k]);
+            h->cop[k] = sf_bounded(measured[k] + (e->cop[k] - e->cop_measured[k]), v->cop_bound);
+            if (sf_finite(aligned)) h->cop_aligned[k] = sf_bounded(aligned, v->cop_bound);
+        }
         for (int k = 0; k < 2; k++)
             h->cop_std[k] = sf_min(sf_sqrt(sf_max(e->cop_covariance[3 * k], 0)), v->cop_bound);
     }
-    for (int k = 0; k < 2 * c->feet; k++) out->cop_foot[k] = (float)h->cop_foot[k];
+    for (int k = 0; k < 2 * c->feet; k++) {
+        out->cop_foot[k] = (float)h->cop_foot[k];
+        out->cop_foot_aligned[k] = (float)h->cop_foot[2 * c->feet + k];
+    }
     for (int k = 0; k < 2; k++) {
         out->cop[k] = (float)h->cop[k];
         out->cop_std[k] = (float)h->cop_std[k];
+        out->cop_aligned[k] = (float)h->cop_aligned[k];
     }
     for (int i = 0; i < c->channels; i++) {
         out->foot_force[i] = (float)sf_bounded(e->force[i], v->force_bound);
+        out->foot_force_aligned[i] = (float)sf_bounded(e->force_aligned[i], v->force_bound);
         out->foot_load[i] = (float)(sf_bounded(e->force[i], v->force_bound) / v->weight);
         out->foot_force_std[i] = (float)sf_bounded(e->force_std[i], v->force_bound);
         out->undetermined[i] = (float)e->undetermined[i];

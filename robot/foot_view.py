@@ -24,10 +24,13 @@ DETERMINED: Final = ("contact_probability", "undetermined")
 RAW: Final = "foot_raw"
 """Counts, which :class:`~surefoot.wrappers.FootSensors` shows: millions, hidden unless they are asked for."""
 
-ALL, STD, EACH = slice(0, 2), slice(2, 4), slice(4, None)
-"""Where :attr:`FootView.held` has its parts."""
+ALIGNED: Final = ("foot_force_aligned", "cop_foot_aligned", "cop_aligned")
+"""Values of all channels at one common moment, ``FootCalibrator.aligned_lag`` samples ago."""
 
-PARTS: Final = (*DEFAULT, "foot_load", RAW, "wrench", "vgrf", *CERTAINTY, *DETERMINED, "foot_flags")
+ALL, STD, ALL_ALIGNED, EACH = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, None)
+"""Where :attr:`FootView.held` has its parts: single feet come last, aligned ones behind the others."""
+
+PARTS: Final = (*DEFAULT, "foot_load", RAW, "wrench", "vgrf", *CERTAINTY, *DETERMINED, *ALIGNED, "foot_flags")
 """All that can be shown."""
 
 
@@ -84,7 +87,8 @@ class FootView:
         spaces: The space of each part that is calibrated.
         every: The space of each part.
         flawed: Whether the feet have no centres of pressure of their own.
-        held: The last ones that were defined in m, of all feet and its deviation, and of each, (4 + 2 F,).
+        held: The last ones that were defined in m: of all feet, its deviation, and that which is aligned; of
+            each foot, and those which are aligned, (6 + 4 F,).
         rolls: Whether feet are round.
         force_bound: Largest force that is shown in N.
         weight: The robot's believed weight in N: the unit of ``"foot_load"``.
@@ -104,9 +108,9 @@ class FootView:
     ) -> None:
         check_parts(parts)
         flaw = flaw_of(layout, flaw)
-        if flaw and "cop_foot" in parts:
+        if flaw and (lacking := sorted({"cop_foot", "cop_foot_aligned"} & set(parts))):
             raise ValueError(
-                f"'cop_foot' cannot be shown. {flaw} Show 'cop', that of all feet together, and 'vgrf' "
+                f"'{lacking[0]}' cannot be shown. {flaw} Show 'cop', that of all feet together, and 'vgrf' "
                 "instead."
             )
         self.parts = tuple(part for part in parts if part != RAW)
@@ -128,10 +132,13 @@ class FootView:
             "foot_flags": box(0, np.iinfo(np.int32).max, (channels,), np.int32),
             "contact_probability": box(0.0, 1.0, (feet,), np.float32),
             "undetermined": box(0.0, 1.0, (channels,), np.float32),
+            "foot_force_aligned": box(-force, force, (channels,), np.float32),
+            "cop_foot_aligned": box(-COP_BOUND, COP_BOUND, (feet, 2), np.float32),
+            "cop_aligned": box(-COP_BOUND, COP_BOUND, (2,), np.float32),
         }
         self.spaces = {part: self.every[part] for part in self.parts}
         # In one array, for the library: `sf_held`.
-        self.held: Floats = np.zeros(4 + 2 * feet)
+        self.held: Floats = np.zeros(6 + 4 * feet)
         self.begin_episode()
 
     def begin_episode(self) -> None:
@@ -157,9 +164,22 @@ class FootView:
         x, y, u, v = np.moveaxis(soles, -1, 0)
         load = np.where(valid[..., 0], fz.sum(axis=-1), 1.0)
         moments = (x * fz - u * ty - v * tx).sum(axis=-1), (y * fz - v * ty + u * tx).sum(axis=-1)
-        ways = (ALL, np.stack(moments, axis=-1) / load[..., None]), (EACH, np.ravel(estimate.cop_foot))
-        for (part, found), defined in zip(ways, (valid[:1], np.repeat(valid[1:], 2)), strict=True):
-            held[part] = np.where(defined, np.clip(found, -COP_BOUND, COP_BOUND), held[part])
+        measured = np.stack(moments, axis=-1) / load[..., None]
+        # The estimate has the same differences, in level axes that head nearly the same way. A method of the
+        # user's may have neither.
+        read = estimate.cop if estimate.cop_measured is None else estimate.cop_measured
+        now = estimate.cop - read
+        aligned = np.zeros(2) if estimate.cop_aligned is None else estimate.cop_aligned - read
+        feet_aligned = estimate.cop_foot if estimate.cop_foot_aligned is None else estimate.cop_foot_aligned
+        feet_aligned = np.ravel(feet_aligned)
+        each = np.concatenate([np.ravel(estimate.cop_foot), feet_aligned])
+        defined = np.concatenate([np.repeat(valid[1:], 2), np.isfinite(feet_aligned) & (not self.flawed)])
+        for part, found, there in (
+            (ALL, measured + now, valid[:1]),
+            (ALL_ALIGNED, measured + aligned, valid[:1] & np.isfinite(aligned)),
+            (EACH, each, defined),
+        ):
+            held[part] = np.where(there, np.clip(found, -COP_BOUND, COP_BOUND), held[part])
         if "cop_std" in self.parts and estimate.cop_covariance is not None:
             variance = np.diagonal(estimate.cop_covariance, axis1=-2, axis2=-1)
             std = np.minimum(np.sqrt(np.maximum(variance, 0.0)), COP_BOUND)
@@ -168,10 +188,13 @@ class FootView:
     def _part(self, part: str, estimate: Estimate, valid: NDArray[np.bool_]) -> NDArray[Any]:
         held = self.held
         match part:
-            case "cop_foot":
-                return held[EACH].astype(np.float32).reshape(-1, 2)
+            case "cop_foot" | "cop_foot_aligned":
+                own, aligned = np.split(held[EACH].astype(np.float32).reshape(-1, 2), 2)
+                return own if part == "cop_foot" else aligned
             case "cop":
                 return held[ALL].astype(np.float32)
+            case "cop_aligned":
+                return held[ALL_ALIGNED].astype(np.float32)
             case "cop_valid":
                 return valid.astype(np.float32)
             case "cop_std":
@@ -182,6 +205,8 @@ class FootView:
                 return np.array(getattr(estimate, part), dtype=np.float32)
             case "foot_load":
                 return self._clip(estimate.force, self.weight)
+            case "foot_force_aligned" if estimate.force_aligned is None:
+                return self._clip(estimate.force, 1.0)
         return self._clip(getattr(estimate, part.removeprefix("foot_")), 1.0)
 
     def _clip(self, force: Any, unit: float) -> NDArray[np.float32]:

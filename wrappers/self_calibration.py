@@ -40,10 +40,15 @@ class SelfCalibration(
     | ``"cop_std"`` (2) | standard deviation of ``"cop"`` | 0 | 1 | m |
     | ``"contact_probability"`` (F) | probability that a foot bears load | 0 | 1 | 1 |
     | ``"undetermined"`` (K) | share of a scale's variance that is open | 0 | 1 | 1 |
+    | ``"foot_force_aligned"`` (K) | calibrated channels at one common moment | -1000 | 1000 | N (N m) |
+    | ``"cop_foot_aligned"`` (F, 2) | centres of pressure of the feet then, sole frame | -1 | 1 | m |
+    | ``"cop_aligned"`` (2) | centre of pressure of all feet then, level frame of now | -1 | 1 | m |
     | ``"foot_flags"`` (K) | :class:`~surefoot.calibration.estimate.Flag` bits | 0 | 2^31 - 1 | 1 |
 
     F is the number of feet. The first four are shown by default, but ``"cop_foot"`` only of feet that have an
-    area and measure where forces act on it; the two before the flags are those of method ``"moment"``. A
+    area and measure where forces act on it; ``"contact_probability"`` and ``"undetermined"`` need method
+    ``"moment"``. The common moment of aligned values was ``FootCalibrator.aligned_lag`` samples ago, usually
+    one. They suit a learner or a log, the others a controller that reacts within a step. A
     robot of more than 20 kg has wider bounds, five times its weight. A centre of pressure is defined above
     5 N. Below, the last one is held and flagged. The reference that the calibrator holds the counts against
     is made of the robot's beliefs (telemetry and a nominal model with wrong masses, see
