@@ -271,15 +271,16 @@ class NaoEnv(BipedEnv):
         """Return the truth of a control step, of sensor data of shape (..., S, columns)."""
         return FeetTruth(rows, self.channels)
 
-    def base_reward(self, seen: Seen, cop_error_x: float, cop_error_y: float) -> dict[str, float]:
-        """Return the terms that all tasks have, for errors of the centre of pressure in m in a frame."""
+    def cop_reward(self, seen: Seen) -> float:
+        """Return the reward of the centre of pressure, compared in the level frames of the soles."""
+        if not seen.cop_valid:
+            return 0.0
         weight, scale = self._cop_reward
-        near = closeness(cop_error_x, cop_error_y, scale) if seen.cop_valid else 0.0
-        return {"reward_alive": 1.0, "reward_cop": weight * near, "reward_action": seen.effort}
+        return weight * closeness(seen.cop_error_forward, seen.cop_error_left, scale)
 
     def reward(self, seen: Seen) -> dict[str, float]:
         """Return the terms of the reward, by name."""
-        return self.base_reward(seen, seen.cop_error_x, seen.cop_error_y)
+        return {"reward_alive": 1.0, "reward_cop": self.cop_reward(seen), "reward_action": seen.effort}
 
     def place(self, command: Command, target: Floats) -> None:
         """Put the robot onto its footprints."""

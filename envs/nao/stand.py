@@ -136,12 +136,11 @@ class NaoStandEnv(NaoEnv):
         level[..., :2] = motion
         return self._command(pelvis[..., 0], pelvis[..., 1], level)
 
-    def reward(self, seen: Seen) -> dict[str, float]:
-        """Return the terms of the reward, by name."""
-        # A robot that is to stand where it is put is judged in the world, and otherwise by its own feet.
+    def cop_reward(self, seen: Seen) -> float:
+        """Return the reward of the centre of pressure, compared in the world unless the sway is random."""
         if self._share is None:
-            return self.base_reward(seen, seen.cop_error_x, seen.cop_error_y)
-        return self.base_reward(seen, seen.cop_error_forward, seen.cop_error_left)
+            seen = seen._replace(cop_error_forward=seen.cop_error_x, cop_error_left=seen.cop_error_y)
+        return super().cop_reward(seen)
 
     def _command(self, forward: Any, left: Any, motion: Floats) -> Command:
         """Return the command for a displacement of the pelvis in m.

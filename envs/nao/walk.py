@@ -143,12 +143,12 @@ class NaoWalkEnv(NaoEnv):
     def reward(self, seen: Seen) -> dict[str, float]:
         """Return the terms of the reward, by name."""
         tilt = acos(min(max(seen.up_z, -1.0), 1.0)) / TILT_SCALE
-        base = self.base_reward(seen, seen.cop_error_forward, seen.cop_error_left)
-        velocity = closeness(seen.velocity_error_forward, seen.velocity_error_left, VELOCITY_SCALE)
         return {
-            "reward_alive": base["reward_alive"],
-            "reward_progress": velocity,
+            "reward_alive": 1.0,
+            "reward_progress": closeness(
+                seen.velocity_error_forward, seen.velocity_error_left, VELOCITY_SCALE
+            ),
             "reward_upright": exp(-tilt * tilt),
-            "reward_cop": base["reward_cop"],
-            "reward_action": base["reward_action"],
+            "reward_cop": self.cop_reward(seen),
+            "reward_action": seen.effort,
         }
