@@ -1,10 +1,12 @@
 r"""Find the mistake that explains why data contradict themselves, among listed mistakes and an unknown one.
 
-The data as they are and each listed mistake i, undone, are fitted. A fit has a log evidence and a size of its
-residuals. The size is compared with that of sound data, which includes the model's own error: :math:`t_i` is
-the probability that sound data leave residuals at least as large. Evidence divides the probability among the
-listed alternatives, w_i = softmax(evidence). A mistake that is not on the list has prior probability p, and a
-listed one mimics it with probability q so well that undoing it leaves residuals of sound data:
+A domain supplies a table of mistakes, each with a function that undoes it in the data, and one fit, which
+returns a log evidence and the size of the residuals. :func:`investigate` fits the data as they are and with
+each mistake undone. The size is compared with that of sound data, which includes the model's own error:
+:math:`t_i` is the probability that sound data leave residuals at least as large. Evidence divides the
+probability among the listed alternatives, w_i = softmax(evidence). A mistake that is not on the list has
+prior probability p, and a listed one mimics it with probability q so well that undoing it leaves residuals of
+sound data:
 
 .. math::
 
@@ -13,14 +15,22 @@ listed one mimics it with probability q so well that undoing it leaves residuals
 
 A cause is therefore certain only if undoing it leaves residuals that sound data have. Both p and q are
 measured by leaving one kind of mistake out of the list at a time (``benchmarks/spoilt_logs.py``).
+
+The best of c alternatives with d unknowns of their own, fitted to n rows, gains :math:`\frac d2 \log n + \log
+c` by chance (Schwarz, 1978), which is taken off its evidence. Errors of the model repeat in many rows. Where
+rows do not count for less because of that, evidence is limited by the reduction of the residuals over an
+effective number of readings.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, softmax
+from scipy.special import logsumexp, ndtr, softmax
+
+from surefoot.calibration.results import Finding
 
 CERTAIN = 0.9
 """Probability above which a cause is certain enough to refuse the data because of it."""
@@ -28,6 +38,9 @@ CERTAIN = 0.9
 LIKELY = 0.5
 """Probability above which something is likelier than everything else together."""
 
+CLEARER = 10.0  # nats of evidence that a mistake must gain to be called the closest: 1 in 22,000 by chance
+_CLOSER = 0.5  # largest share of the residuals that the closest mistake may leave to be reported
+_MAY_BE_SOUND = 0.05  # probability of such residuals in sound data above which the data may be sound
 _SHOWN = 0.999  # largest probability that a sentence states
 
 
@@ -47,6 +60,18 @@ class Experience:
     spread: float
     """Standard deviation of the logarithm of that size among sound data."""
 
+    kinds: float = 1.0
+    """Kinds of mistakes, by which each is rarer than sound data."""
+
+    readings: float = np.inf
+    """Effective number of readings for an error of the model, however many rows repeat it."""
+
+    good: float = 0.0
+    """Residuals of good instruments: while data may be sound, a further reduction is no evidence."""
+
+    best: float = 0.0
+    """The same of the best instruments, for data that are not sound."""
+
     def sound(self, size: float) -> float:
         """Return the probability that sound data have residuals of at least this size."""
         return float(ndtr(-np.log(max(size, 1e-12) / self.size) / self.spread))
@@ -60,18 +85,31 @@ class Mistake(NamedTuple):
     """A mistake that data may contain."""
 
     kind: str  # for tables and tests
-    cause: str  # the mistake, as a clause
+    cause: str | Callable[[Any], str]
+    """The mistake as a clause, or a function that returns it by the solution of the data without it: empty if
+    no such mistake is possible, such as a negative mass."""
     cure: str  # advice for the user, as a clause
     undo: Callable[[Any], Any] = _keep
     """Changes data to those without the mistake. By default they stay: the fit contains the mistake."""
+    free: int = 0  # unknowns that the data have in addition without it, such as the time of a jump
+    choices: int = 1  # number of equally likely alternatives of this kind
+
+
+class Fitted(NamedTuple):
+    """How well data fit their model."""
+
+    evidence: float  # natural logarithm
+    size: float  # of the residuals, in the unit of :attr:`Experience.size`
+    solution: Any = None  # the fit itself
 
 
 class Tried(NamedTuple):
     """A fit of the data with one mistake undone."""
 
     mistake: Mistake
-    evidence: float  # natural logarithm
+    evidence: float  # natural logarithm, less what such a mistake gains by chance
     size: float  # of the residuals that are left, in the unit of :attr:`Experience.size`
+    solution: Any = None
 
 
 class Cause(NamedTuple):
@@ -81,6 +119,7 @@ class Cause(NamedTuple):
     probability: float
     evidence: float
     size: float
+    solution: Any = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +129,8 @@ class Diagnosis:
     causes: tuple[Cause, ...]  # by falling probability
     none: float  # that the data are sound as they are
     unknown: float  # that they contain a mistake that is not listed
+    closest: Cause | None = None
+    """The mistake with most evidence, unless it has little, or leaves half of the residuals."""
 
     @property
     def likely(self) -> Cause | None:
@@ -123,20 +164,99 @@ class Diagnosis:
         """The cure of the likeliest cause as a sentence, or empty text."""
         return sentence(self.likely.mistake.cure) if self.likely else ""
 
+    def explain(self, symptom: Finding, instead: str = "") -> Finding:
+        """Add the likeliest cause to a symptom, and the remedy ``instead`` in case that cause is wrong.
+
+        If data contain a mistake but no cause is likely, say that, and name the closest if there is one.
+        """
+        if self.none > LIKELY or not self.causes:
+            return symptom
+        if self.likely:
+            cure = f"{self.cure} If that is not it: {instead}" if instead else self.cure
+            return symptom.with_cause(self.sentence(), cure)
+        if self.closest is None:
+            return symptom.with_cause(self.sentence(), symptom.cure)
+        words = (
+            f"{self.sentence()} The closest of them: {self.closest.mistake.cause}, which leaves "
+            f"{self.closest.size:.2g} of the readings' spread."
+        )
+        return symptom.with_cause(words, f"{symptom.cure} Or {self.closest.mistake.cure}.".lstrip())
+
+
+def investigate(
+    data: Any,
+    mistakes: Iterable[Mistake],
+    fit: Callable[[Any], Fitted],
+    experience: Experience,
+    rows: float,
+) -> Diagnosis:
+    """Fit data as they are and with each mistake undone, and return the probability of each.
+
+    Of mistakes with the same cause the likeliest counts. One whose fit is singular is left out.
+
+    Args:
+        data: The data.
+        mistakes: The mistakes to try.
+        fit: Fits data, as they are or with a mistake undone.
+        experience: What is known about such data.
+        rows: Number of rows that the fit has.
+    """
+    plain = fit(data)
+    least = experience.good if experience.sound(plain.size) > _MAY_BE_SOUND else experience.best
+    best: dict[str, Tried] = {}
+    for mistake in mistakes:
+        with suppress(np.linalg.LinAlgError):
+            undone = fit(mistake.undo(data))
+            cause = mistake.cause if isinstance(mistake.cause, str) else mistake.cause(undone.solution)
+            gain = _gain(mistake, plain, undone, experience, rows, least)
+            if cause and (cause not in best or gain > best[cause].evidence):
+                best[cause] = Tried(mistake._replace(cause=cause), gain, undone.size, undone.solution)
+    tried = list(best.values())
+    if tried and np.isfinite(experience.readings):
+        # If the data contain a mistake, residuals below those of good instruments tell which.
+        gains = np.array([one.evidence for one in tried])
+        left = np.clip([one.size for one in tried], experience.best, least)
+        finer = gains + experience.readings * np.log(least / left)
+        evidence = logsumexp(gains) + finer - logsumexp(finer)
+        tried = [one._replace(evidence=float(e)) for one, e in zip(tried, evidence, strict=True)]
+    found = diagnose(tried, 0.0, plain.size, experience)
+    closest = max(found.causes, key=lambda one: one.evidence, default=None)
+    if closest and (closest.evidence < CLEARER or closest.size > _CLOSER * plain.size):
+        closest = None
+    return replace(found, closest=closest)
+
+
+def _gain(
+    mistake: Mistake, plain: Fitted, undone: Fitted, experience: Experience, rows: float, least: float
+) -> float:
+    """Return the evidence that a mistake gains over the data as they are."""
+
+    def by_chance(count: float) -> float:
+        return float(0.5 * mistake.free * np.log(count) + np.log(mistake.choices))
+
+    gain = undone.evidence - plain.evidence - by_chance(rows)
+    if np.isfinite(experience.readings):
+        better = float(np.log(max(plain.size, least) / max(undone.size, least)))
+        gain = min(gain, experience.readings * better - by_chance(experience.readings))
+    return gain - float(np.log(experience.kinds))
+
 
 def diagnose(tried: Sequence[Tried], evidence: float, size: float, experience: Experience) -> Diagnosis:
     """Return the probability of each mistake that was tried.
 
-    ``evidence`` and ``size`` belong to the data as they are. The caller subtracts the logarithm of the number
-    of alternatives from the evidence of each. If errors of the model repeat, rows depend on each other, and
-    the caller weights their evidence accordingly.
+    ``evidence`` and ``size`` belong to the data as they are. The caller subtracts from the evidence of each
+    mistake what it gains by chance. If errors of the model repeat, rows depend on each other, and the caller
+    weights their evidence accordingly.
     """
     p, q = experience.unknown, experience.mimicked
     share = softmax(np.array([evidence, *(one.evidence for one in tried)]))
     fits = np.array([experience.sound(one) for one in (size, *(one.size for one in tried))])
     odds = (1.0 - p) * share * fits
     none, *listed = (odds / (p * q + odds.sum())).tolist()
-    causes = [Cause(one.mistake, P, one.evidence, one.size) for one, P in zip(tried, listed, strict=True)]
+    causes = [
+        Cause(one.mistake, P, one.evidence, one.size, one.solution)
+        for one, P in zip(tried, listed, strict=True)
+    ]
     # Where no listed mistake is left with any probability, evidence decides which is closest.
     causes.sort(key=lambda one: (-one.probability, -one.evidence))
     return Diagnosis(tuple(causes), none, 1.0 - none - sum(listed))

@@ -18,7 +18,6 @@ from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.fit import FitColumns
 from surefoot.calibration.in_situ.model import AXES, DIRECT, LEAST_LEVER, MASS, MOMENT, STATIC
 from surefoot.calibration.in_situ.solver.compress import CompressedSet
-from surefoot.calibration.in_situ.solver.problem import CREEPING, Law
 from surefoot.calibration.in_situ.solver.solve import Solution
 from surefoot.calibration.results import Finding
 
@@ -97,14 +96,9 @@ def unknowns_root(solution: Solution, beside: OpenErrors | None = None) -> Matri
 
 
 def share_deviations(solution: Solution) -> Vector:
-    """Return the deviations of the shares of hysteresis, of each axis, (6,), or of each channel, (k,)."""
-    problem, lags = solution.problem, solution.problem.channel_lags
-    of_response, of_phi = np.split(unknowns_root(solution), [solution.response.size])
-    if not lags:
-        return np.asarray(np.linalg.norm(of_phi[problem.loops], axis=1))
-    entries = of_response.reshape(*solution.response.shape, -1)[:, -lags:]
-    of_shares = np.einsum("ab,bac->ac", np.linalg.inv(problem.whitening), entries)
-    return np.asarray(np.linalg.norm(of_shares, axis=1))
+    """Return the deviations of the shares of hysteresis of each axis, shape (6,)."""
+    of_phi = unknowns_root(solution)[solution.response.size :]
+    return np.asarray(np.linalg.norm(of_phi[solution.problem.loops], axis=1))
 
 
 def hidden_loops(solution: Solution, share: float) -> OpenErrors:
@@ -125,63 +119,30 @@ def hidden_loops(solution: Solution, share: float) -> OpenErrors:
 
 
 def slope_doubts(solution: Solution, hidden: float) -> tuple[Matrix, Matrix]:
-    """Return columns of C, (6 k, a), and of o, (k, a), for want of one slope of a sensor with hysteresis.
+    """Return columns of C, (6 k, 6), and of o, (k, 6), as the slope of a sensor with hysteresis is unsure.
 
-    An axis, or a channel, gives by its share of loops, fitted or hidden, more for twice the swing, by that of
-    creep in twice the time. All of its axes are of one metal and one glue: one whose load hardly changed has
-    at least the share of the others.
+    An axis gives by its share of loops, fitted or hidden, more for twice the swing. A fitted share is known
+    where the matrix holds, give or take a doubling. All axes are of one metal: one whose load hardly changed
+    has at least the share of the others. The offset is the reading without load, from where the load came to
+    its mean in the last set. Loops wider than that set's swing stay anywhere, by loads that were borne in the
+    others, and one stroke reads all of a loop on one side, where many there and back cancel.
     """
     A, sets = solution.A, solution.problem.sets
-    shares = np.full(AXES, hidden)
-    if solution.problem.lags:
-        shares = np.maximum(np.abs(solution.shares), np.sqrt(np.mean(solution.shares**2)))
     C = invert_response(A, solution.problem.noise)
     loads = [part.source.signals @ T.T for part, T in zip(sets, solution.loads, strict=True)]
-    lagging, changes, kinds = A, np.einsum("ca,ab->acb", A, np.eye(AXES)), _KINDS
-    if solution.problem.channel_lags:
-        loads = [one @ A.T for one in loads]
-        lagging, changes, kinds = (
-            np.eye(len(A)),
-            np.einsum("ac,cb->acb", np.eye(len(A)), A),
-            [slice(0, len(A))],
-        )
-    law = solution.problem.law
-    stored = lagging * _doubt_of_load(law, shares, loads)
-    if law is Law.BACKLASH:
-        # It gives as much at any swing.
-        return np.zeros((C.size, 0)), stored
-    doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in kinds])
-    changes = (shares * doublings)[:, None, None] * changes
-    return (C @ changes @ C).reshape(len(changes), -1).T, stored
-
-
-def _doubt_of_load(law: Law, shares: Vector, loads: Sequence[Matrix]) -> Vector:
-    """Return by how much the offset is off for loads that were borne before, of loads (n_j, a) a set.
-
-    The offset is that without load: how the load came from there to about its mean in the last set takes the
-    slope of a swing as large, where the set shows that of its own; creep goes on in all octaves of time.
-    Beside that loops wider than a set's own swing stay anywhere, by loads that were borne in the others, and
-    one stroke reads all of a loop on one side, where many there and back cancel. Backlash stays anywhere
-    where no swing is as wide.
-    """
+    if solution.problem.hysteresis:
+        shares = np.maximum(np.abs(solution.shares), np.sqrt(np.mean(solution.shares**2)))
+        doublings = np.ones(AXES)
+    else:
+        shares = np.full(AXES, hidden)
+        doublings = np.concatenate([_doublings([one[:, kind] for one in loads]) for kind in _KINDS])
     widths = np.array([np.ptp(one, axis=0) for one in loads])
-    if law is Law.BACKLASH:
-        backlash = 0.5 * shares * np.max(widths, axis=0)
-        return np.asarray(UNIFORM * backlash * (widths[-1] < backlash))
     strokes = np.sum(np.abs(np.diff(loads[-1], axis=0)), axis=0)
     strokes = np.maximum(strokes / np.maximum(widths[-1], np.finfo(float).tiny), 1.0)
-    swing, reach = _swing_and_reach(loads[-1:])
-    more = len(CREEPING) if law is Law.CREEP else np.log2(reach / swing)
     stored = UNIFORM * np.hypot(widths[-1] / strokes, np.ptp(widths, axis=0))
-    return np.asarray(shares * np.hypot(loads[-1].mean(axis=0) * more, stored))
-
-
-def _swing_and_reach(loads: Sequence[Matrix]) -> tuple[Vector, Vector]:
-    """Return half of the widest swing of loads, (n_j, a) a set, and their largest size, shape (a,) each."""
-    swing = np.max([np.ptp(one, axis=0) for one in loads], axis=0) / 2.0
-    reach = np.max([np.max(np.abs(one), axis=0) for one in loads], axis=0)
-    swing = np.maximum(swing, 0.5**_MOST_DOUBLINGS * np.max(reach) + np.finfo(float).tiny)
-    return swing, np.maximum(reach, swing)
+    of_offset = A * (shares * np.hypot(loads[-1].mean(axis=0) * doublings, stored))
+    changes = np.einsum("ca,ab->acb", A * (shares * doublings), np.eye(AXES))
+    return (C @ changes @ C).reshape(AXES, -1).T, of_offset
 
 
 def _doublings(loads: Sequence[Matrix]) -> Vector:
@@ -191,7 +152,10 @@ def _doublings(loads: Sequence[Matrix]) -> Vector:
     whichever way they point: the mean of the axes' swings, give or take a doubling. Further loads of the size
     of the largest take the slope of a swing as large.
     """
-    swing, reach = map(np.log2, _swing_and_reach(loads))
+    swing = np.max([np.ptp(one, axis=0) for one in loads], axis=0) / 2.0
+    reach = np.max([np.max(np.abs(one), axis=0) for one in loads], axis=0)
+    swing = np.maximum(swing, 0.5**_MOST_DOUBLINGS * np.max(reach) + np.finfo(float).tiny)
+    swing, reach = np.log2(swing), np.log2(np.maximum(reach, swing))
     return np.asarray(np.maximum(np.hypot(swing - np.mean(swing), 1.0), reach - swing))
 
 
@@ -245,7 +209,6 @@ def data_share(solution: Solution) -> DataShare:
     squares = data.T @ data
     # Unknowns of the answer: neither loops nor the limb's inertia, which are integrated out.
     asked = np.ones(len(squares), dtype=np.bool_)
-    asked[:linear].reshape(channels, inputs)[:, inputs - problem.channel_lags :] = False
     asked[linear + STATIC : linear + problem.parameters] = False
     own, across = squares[np.ix_(~asked, ~asked)], squares[np.ix_(~asked, asked)]
     rest = np.linalg.solve(own + np.eye(len(own)) / _UNKNOWN**2, across)

@@ -143,9 +143,12 @@ class InSituFit:
         temperature_reference: Temperature at which the offsets hold.
         temperature_gain: Change of each axis per K, as a share of its load, shape (6,); None if that was not
             seen.
-        hysteresis: Width of the loop of each axis as a share of the load's swing, or its creep in an octave
-            of time as a share of the load, shape (6,); None if loads were not seen to lag.
-        channel_hysteresis: The same of each channel, shape (k,), where channels lag rather than loads.
+        hysteresis: Width of the loop of each axis as a share of the load's swing, shape (6,); None if loads
+            were not seen to lag.
+        amplitude: Amplitudes of cycles of each axis in N and N m at whose ends the matrix holds, shape (6,):
+            gains grow by ``hysteresis`` for each doubling of the amplitude. None without hysteresis.
+        swing_gain: Gains of the axes at that amplitude over those at the swings of the sets, shape (6,); None
+            without hysteresis.
         offset_doubt: Covariance in counts^2, shape (k, k), of the offset's error by hysteresis, part of
             ``covariance``; None without hysteresis.
         data_share: Of the information on each entry of ``covariance``, the share that the readings give by
@@ -182,9 +185,8 @@ class InSituFit:
     temperature_reference: float = field(default=0.0, metadata=_name("temperature_reference_degC"))
     temperature_gain: Matrix | None = field(default=None, metadata=_name("temperature_gain_per_K"))
     hysteresis: Matrix | None = field(default=None, metadata=_name("hysteresis_share_of_swing"))
-    channel_hysteresis: Matrix | None = field(
-        default=None, metadata=_name("hysteresis_share_of_swing_of_each_channel")
-    )
+    amplitude: Matrix | None = field(default=None, metadata=_name("amplitude_of_matrix_N_Nm"))
+    swing_gain: Matrix | None = field(default=None, metadata=_name("gain_at_swings_of_sets"))
     offset_doubt: Matrix | None = field(
         default=None, metadata=_name("offset_covariance_by_hysteresis_count2")
     )
@@ -209,6 +211,19 @@ class InSituFit:
     def matrix_std(self) -> NDArray[np.float64]:
         """Standard deviation of each entry of C in N and N m per count, shape (6, k)."""
         return np.asarray(self._std(self.columns.matrix).reshape(self.matrix.shape))
+
+    @property
+    def matrix_in_air(self) -> NDArray[np.float64]:
+        """C at the swings of the sets, which weighs what hangs on the sensor as it turns, shape (6, k).
+
+        With hysteresis it differs from :attr:`matrix`, which is for contact loads.
+        """
+        return self.matrix if self.swing_gain is None else self.matrix * self.swing_gain[:, None]
+
+    @property
+    def response_in_air(self) -> NDArray[np.float64]:
+        """The response at the swings of the sets in counts per N and N m, shape (k, 6)."""
+        return self.response if self.swing_gain is None else self.response / self.swing_gain
 
     @property
     def offset_std(self) -> NDArray[np.float64]:

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct, idct
 
 from surefoot.calibration.arrays import MAD_TO_STD
+from surefoot.calibration.diagnosis import CLEARER
 from surefoot.calibration.imu.static import savitzky_golay
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.covariance import OpenErrors, disagreement
@@ -43,7 +44,7 @@ from surefoot.calibration.in_situ.model import (
     signals,
     transform_basis,
 )
-from surefoot.calibration.in_situ.solver.solve import Solution, criterion
+from surefoot.calibration.in_situ.solver.solve import Solution
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import Finding
 
@@ -130,7 +131,7 @@ def fit_sphere(sets: Sequence[InSituSet]) -> Sphere:
     g, K = np.concatenate(gravity), np.concatenate(turned)
     (plain, penalty), (by_axis, lower) = _fit_length(g, K, _RATIOS[:, :0]), _fit_length(g, K, _RATIOS)
     # How much better the length is explained does not count: what is left hangs together in time.
-    return by_axis if penalty - lower > limits.CLEARER else plain
+    return by_axis if penalty - lower > CLEARER else plain
 
 
 def _fit_length(g: Matrix, K: NDArray[np.float64], ratios: Matrix) -> tuple[Sphere, float]:
@@ -326,17 +327,11 @@ class DelayLeft(NamedTuple):
         return 0.5 * (self.delay / self.std) ** 2
 
 
-def likeliest_delay(sets: Sequence[InSituSet], fits: Sequence[Solution]) -> DelayLeft:
-    """Return the delay beside the fit, of those with loops by each law, that would be the likeliest with it.
+def delay_left(sets: Sequence[InSituSet], solution: Solution) -> DelayLeft:
+    """Return the delay that would be likeliest beside a fit, with all of its unknowns free to follow.
 
-    Delays and loops cancel each other, so that the fit without the delay is no guide.
+    Delays and loops cancel each other in part, so the fit must have loops where the sensor may have some.
     """
-    tried = [(criterion(one), _delay_left(sets, one)) for one in fits]
-    return min(tried, key=lambda one: one[0] - 2.0 * one[1].nats * (one[1].delay > 0.0))[1]
-
-
-def _delay_left(sets: Sequence[InSituSet], solution: Solution) -> DelayLeft:
-    """Return the delay that a fit leaves, with all of its unknowns free to follow."""
     problem = solution.problem
     between, along, square, like, whole = [], 0.0, 1e-300, 0.0, 1e-300
     for data, part, B in zip(sets, problem.sets, solution.predicted, strict=True):

@@ -101,4 +101,3 @@ MISPRINT = Limit(0.7, "share of a row's largest entry", "a lost sign or digit; s
 READ_BETTER = Limit(
     0.7, "share of what is missed", "chosen: another way to read a matrix that is worth a look"
 )
-CLEARER = Limit(10.0, "nats", "1 in 22,000")

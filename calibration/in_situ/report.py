@@ -1,30 +1,26 @@
 """Outcome of a fit: the calibration and its statistics, or only the reason of a refusal."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from surefoot.calibration.arrays import of_unit_length
-from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.check import check_within, measure_residual
+from surefoot.calibration.in_situ.check import check_within
 from surefoot.calibration.in_situ.covariance import (
     DataShare,
-    OpenErrors,
     answer_of,
     answer_root,
     data_share,
-    hidden_loops,
     slope_doubts,
     slow_turn,
     unknowns_root,
 )
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Task, Vector
-from surefoot.calibration.in_situ.effects import shows_loops
+from surefoot.calibration.in_situ.estimate import Solved
 from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
-from surefoot.calibration.in_situ.imu import Sphere, errors_of_imu
+from surefoot.calibration.in_situ.hysteresis import gains_of
 from surefoot.calibration.in_situ.judge import (
     check_answer,
     check_axes,
@@ -33,7 +29,7 @@ from surefoot.calibration.in_situ.judge import (
     check_scale,
     data_rank,
 )
-from surefoot.calibration.in_situ.maker import COMMON, Leaning, mean_of, prior_of
+from surefoot.calibration.in_situ.maker import COMMON, mean_of, prior_of
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
 from surefoot.calibration.in_situ.solver.problem import Problem
 from surefoot.calibration.in_situ.solver.solve import Solution, solve
@@ -42,39 +38,9 @@ from surefoot.calibration.results import CalibrationRefused, Finding, FitResult,
 _MAKER = 0.02  # deviation of a factory matrix that is kept, as a share of full scale: sheets state 1 to 2 %
 
 
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """A solved task, on its way to the answer."""
-
-    task: Task  # the input
-    sets: tuple[InSituSet, ...]  # its sets with a levelled gravity, in step with the readings
-    sphere: Sphere  # errors of the accelerometer by gravity's length
-    delay: float  # by which gravity was late in s
-    delay_std: float  # its deviation
-    members: list[Leaning]  # the fits by the likely sizes of the maker's errors, the likeliest first
-    reference: float | None  # mean of the temperatures; None where they take no part
-
-    @cached_property
-    def hidden(self) -> float:
-        """Share of hysteresis that the readings may hide.
-
-        Loops leave about their own share of the spread: where less is left, they are no larger.
-        """
-        problem, options = self.members[0].solution.problem, self.task.options
-        if not options.hysteresis or problem.lags or (self.task.timed and shows_loops(problem)):
-            return 0.0
-        return min(float(limits.HYSTERESIS), measure_residual(problem.sets))
-
-    def open_errors(self, solution: Solution) -> OpenErrors:
-        """Errors of a solution by those of the IMU and by hidden hysteresis."""
-        of_imu = errors_of_imu(self.sets, solution, self.sphere, self.delay_std)
-        pairs = zip(of_imu, hidden_loops(solution, self.hidden), strict=True)
-        return OpenErrors(*(np.concatenate(pair, axis=1) for pair in pairs))
-
-
 def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     """Return the answer, and findings on it."""
-    task, solution = solved.task, mean_of(solved.members)
+    task, solution = solved.task, mean_of(solved.fits.members)
     problem = solution.problem
     columns = FitColumns.of(len(problem.noise))
     bends, findings = check_within(solved.sets, problem.sets, solved.hidden)
@@ -98,7 +64,7 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     fit = replace(
         fit,
         bending=bends,
-        offset_doubt=doubts[1] @ doubts[1].T if problem.lags or solved.hidden else None,
+        offset_doubt=doubts[1] @ doubts[1].T if problem.hysteresis or solved.hidden else None,
         scope=scope,
         maker_known=maker_known,
         maker_share=maker_share,
@@ -120,11 +86,19 @@ def _assemble(
     if solved.task.mode == "keep":
         assert solved.task.factory is not None
         matrix, response = solved.task.factory, np.asarray(np.linalg.pinv(solved.task.factory))
+    offset = answer[FitColumns.of(k).offset]
+    offsets = np.array([part.middle.by(B) for part, B in zip(problem.sets, predicted, strict=True)])
+    gains = gains_of(solved.sets, solution)
+    if gains is not None:
+        stored = gains.stored @ solution.A.T
+        offset, offsets = offset - stored[-1], offsets - stored
+        if solved.task.mode != "keep":
+            matrix, response = matrix / gains.matrix[:, None], response * gains.matrix
     stats, set_stats = _stats(solution, known)
     return InSituFit(
         matrix=matrix,
-        offset=answer[FitColumns.of(k).offset],
-        offsets=np.array([part.middle.by(B) for part, B in zip(problem.sets, predicted, strict=True)]),
+        offset=offset,
+        offsets=offsets,
         response=response,
         limb=Limb(float(limb[MASS]), limb[MOMENT], inertia_matrix(limb) if problem.moving else None),
         covariance=covariance,
@@ -141,7 +115,8 @@ def _assemble(
         temperature_reference=solved.reference or 0.0,
         temperature_gain=limb[problem.of_loads][: problem.gains] if problem.gains else None,
         hysteresis=solution.shares if problem.hysteresis else None,
-        channel_hysteresis=solution.shares if problem.channel_lags else None,
+        amplitude=None if gains is None else gains.amplitude,
+        swing_gain=None if gains is None or solved.task.mode == "keep" else gains.matrix,
         data_share=known.share,
         accelerometer_bias=solved.sphere.bias,
         accelerometer_scale=solved.sphere.scales,
@@ -242,7 +217,7 @@ def _members_root(solved: Solved, solution: Solution) -> Matrix:
         return np.concatenate([(whitening @ one.response).ravel(), one.outer])
 
     middle = unknowns(solution)
-    for member in solved.members:
+    for member in solved.fits.members:
         apart = (unknowns(member.solution) - middle)[:, None]
         roots += [np.sqrt(member.weight) * root for root in (unknowns_root(member.solution, beside), apart)]
     if solved.task.mode == "keep":
@@ -269,14 +244,14 @@ def _doubt_maker(task: Task, solution: Solution) -> Matrix:
 def _describe_scope(solved: Solved, fit: InSituFit) -> tuple[str, Matrix | None, float | None]:
     """Return the scope in words, the share of each of the maker's errors that is known, and their size."""
     task, base = solved.task, "bias, mass and centre of mass"
-    count = different_masses(solved.members[0].solution.problem.added[:, :STATIC])
+    count = different_masses(solved.fits.members[0].solution.problem.added[:, :STATIC])
     loads = "one load" if count == 1 else f"{count} loads"
     if task.factory is None or task.mode == "free":
         return f"{base}, and a matrix of its own ({loads})", None, None
     if task.mode == "keep":
         return f"{base}; matrix kept ({loads})", None, None
     prior, posterior = np.zeros((AXES, AXES)), np.zeros((AXES, AXES))
-    for member in solved.members:
+    for member in solved.fits.members:
         problem = member.solution.problem
         assert problem.maker is not None
         prior += member.weight * problem.maker.std**2
@@ -284,7 +259,7 @@ def _describe_scope(solved: Solved, fit: InSituFit) -> tuple[str, Matrix | None,
         root = unknowns_root(member.solution)[: errors.shape[1]]
         posterior += member.weight * np.sum((errors @ root) ** 2, axis=1).reshape(AXES, AXES)
     known = np.clip(1.0 - posterior / prior, 0.0, 1.0)
-    maker = solved.members[0].solution.problem.maker
+    maker = solved.fits.members[0].solution.problem.maker
     assert maker is not None
     scales = maker.std / maker.std[0, 0]
     moved = float(np.max(np.abs(task.factory @ fit.response - np.eye(AXES)) / scales))
@@ -294,7 +269,7 @@ def _describe_scope(solved: Solved, fit: InSituFit) -> tuple[str, Matrix | None,
     )
     if task.options.factory_std:
         return words, known, float(np.mean(task.options.factory_std))
-    return words, known, float(np.exp(sum(one.weight * np.log(one.share) for one in solved.members)))
+    return words, known, float(np.exp(sum(one.weight * np.log(one.share) for one in solved.fits.members)))
 
 
 def _limb_alone(

@@ -313,9 +313,6 @@ class InSituTracker:
         """
         rows = np.linalg.pinv(self._white @ fit.response) @ self._white @ self._slopes(GRAVITY * np.eye(3))
         covariance, lag = np.mean(rows @ self._errors @ rows.mT, axis=0), self.config.lag
-        if lag is None and fit.channel_hysteresis is not None:
-            width = fit.channel_hysteresis * np.linalg.norm(fit.response @ weight, axis=1)
-            return np.asarray(covariance + (fit.matrix * (UNIFORM * width) ** 2) @ fit.matrix.T)
         share = fit.hysteresis if lag is None else lag
         width = np.linalg.norm(weight, axis=1) * (0.0 if share is None else share)
         return np.asarray(covariance + np.diag((UNIFORM * width) ** 2))

@@ -45,8 +45,8 @@ class Calibrated:
         """Offset of each set in counts, (J, k), fitted to each alike: the fit's own follow drift."""
         fit, found = self.fit, []
         for data in self.sets:
-            still = data.raw - motion_wrench(data, fit.limb) @ fit.response.T
-            found.append(offset_of_set(still, data.gravity, fit.response, fit.noise))
+            still = data.raw - motion_wrench(data, fit.limb) @ fit.response_in_air.T
+            found.append(offset_of_set(still, data.gravity, fit.response_in_air, fit.noise))
         return np.array(found)
 
     @cached_property
@@ -70,12 +70,15 @@ class Calibrated:
 
     @property
     def matrices(self) -> dict[str, Floats]:
-        """The calibrated matrix and the factory's or the driver's, if any, in N and N m per count, (6, k)."""
+        """The calibrated matrix, and the factory's or the driver's if any, in N and N m per count, (6, k).
+
+        They weigh what hangs on the sensor as it turns.
+        """
         config = self.log.config
         other = {} if config.factory.matrix is None else {"factory": config.factory.matrix}
         if config.of_driver:
             other = {"driver's": np.eye(6)}
-        return {"calibrated": self.fit.matrix} | other
+        return {"calibrated": self.fit.matrix_in_air} | other
 
     def label(self, index: int) -> str:
         """Name of a set in tables."""
@@ -91,7 +94,7 @@ class Calibrated:
     def residual(self, index: int) -> Floats:
         """Compute a set's residual in counts with a constant offset, shape (n, k)."""
         data = self.sets[index]
-        expected = predict_wrench(data, self.fit.limb) @ self.fit.response.T
+        expected = predict_wrench(data, self.fit.limb) @ self.fit.response_in_air.T
         return np.asarray(data.raw - self.offsets[index] - expected)
 
 

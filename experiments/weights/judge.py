@@ -18,7 +18,7 @@ from scipy.stats import t as student
 from scipy.stats import theilslopes
 
 from surefoot.arrays import Floats
-from surefoot.calibration.diagnosis import Experience, Mistake, Tried, diagnose
+from surefoot.calibration.diagnosis import Experience, Fitted, Mistake, investigate
 from surefoot.calibration.results import Finding
 from surefoot.calibration.weights.curves import LEAST, CurveFit, Curves, fit_curve
 from surefoot.experiments.force_torque.checks import RAILS
@@ -169,29 +169,23 @@ def _likelihood(lines: list[Line | None]) -> float:
 def _check_mistakes(table: Weighings, lines: list[Line | None]) -> Finding | None:
     """Find the mistake without which all cells lie on their lines: a wrong label, or a zero that jumped."""
     tried = [*_label_mistakes(table), *_zero_jumps(table, lines)]
-    if not tried:
-        return None
-    fits = []
-    for one in tried:
-        undone = one.undo(table)
-        fits.append([_fit(undone.load, code) for code in undone.code.T])
-    # A mistake with a size of its own costs the likelihood of one more number.
-    cost = [0.5 * np.log(len(table.load)) * (one.kind != EXCHANGED) + np.log(len(tried)) for one in tried]
-    evidence = [_likelihood(fit) - free for fit, free in zip(fits, cost, strict=True)]
-    sizes = [_size(table, fit) for fit in fits]
-    plain = _likelihood(lines)
-    diagnosis = diagnose(list(map(Tried, tried, evidence, sizes)), plain, _size(table, lines), EXPERIENCE)
+
+    def fit(undone: Weighings) -> Fitted:
+        fitted = [_fit(undone.load, code) for code in undone.code.T]
+        return Fitted(_likelihood(fitted), _size(table, fitted), fitted)
+
+    every = [one._replace(choices=len(tried)) for one in tried]
+    diagnosis = investigate(table, every, fit, EXPERIENCE, len(table.load))
     limit, likely = float(np.log(ODDS)), diagnosis.likely
-    if likely is None or likely.evidence - plain <= limit:
+    if likely is None or likely.evidence <= limit:
         return None
     worst = max(
         abs(np.nanmax(np.abs(one.residual)) / one.slope) for one in lines if one is not None and one.slope
     )
     reason = f"The weighings contradict each other by up to {worst:.2g} N. {diagnosis.sentence()}"
     cure = f"{diagnosis.cure.removesuffix('.')}, or leave these rows out."
-    gain = likely.evidence - plain
     kind = "labels" if likely.mistake.kind == EXCHANGED else likely.mistake.kind
-    return Finding(kind, reason, cure, gain, limit, contradicts=True)
+    return Finding(kind, reason, cure, likely.evidence, limit, contradicts=True)
 
 
 def _label_mistakes(table: Weighings) -> Iterator[Mistake]:
@@ -220,9 +214,8 @@ def _label_mistakes(table: Weighings) -> Iterator[Mistake]:
         if means and np.isfinite(means).any():
             true = float(np.nanmedian(means))
             cause = f"{column} the readings under {table.label(a)} are those of {table.label(true)}"
-            yield Mistake(
-                "labels", cause, "weigh that load again", relabel(np.where(table.load == a, true, table.load))
-            )
+            changed = np.where(table.load == a, true, table.load)
+            yield Mistake("labels", cause, "weigh that load again", relabel(changed), free=1)
 
 
 def _zero_jumps(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Mistake]:
@@ -245,9 +238,8 @@ def _zero_jumps(table: Weighings, lines: Sequence[Line | None]) -> Iterator[Mist
             cause = (
                 f"the zero of column '{table.cells[i]}' jumps by {jump:.4g} counts before line {rows[k] + 2}"
             )
-            yield Mistake(
-                "zero jump", cause, "weigh this cell again without a tare", partial(_recount, code=code)
-            )
+            undo = partial(_recount, code=code)
+            yield Mistake("zero jump", cause, "weigh this cell again without a tare", undo, free=1)
 
 
 def _recount(table: Weighings, code: Floats) -> Weighings:

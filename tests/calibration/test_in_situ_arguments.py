@@ -58,7 +58,7 @@ def test_every_limit_has_a_unit_and_a_source_and_is_used():
     assert len(table) > 40
     assert all(value.unit and value.source for value in table.values())
     package = Path(limits.__file__).parent
-    code = " ".join(path.read_text() for path in package.glob("*.py"))
+    code = " ".join(path.read_text() for path in package.rglob("*.py"))
     assert [name for name in table if f"limits.{name}" not in code] == []
 
 

@@ -48,7 +48,19 @@ def test_hysteresis_is_fitted_and_does_not_bias_the_limb():
     assert fit.delay == 0.0
 
 
-def creeping(wrench, share, times, dt=0.1):
+def test_the_matrix_holds_at_the_ends_of_cycles_of_its_amplitude():
+    """A limb swings its axes by 2 to 36 N; contact loads come from any direction."""
+    fit, matrix = calibrate_in_situ(lagging_sets(in_loops, noise=0.1)), SENSORS["leg"][0]
+    cycle = np.sin(np.linspace(0.0, 4.0 * np.pi, 400))[:, None]
+    for axis, amplitude in enumerate(fit.amplitude):
+        read = in_loops(cycle * amplitude * np.eye(6)[axis]) @ np.linalg.inv(matrix).T @ fit.matrix.T
+        assert np.ptp(read[:, axis]) / 2.0 == pytest.approx(amplitude, rel=0.012)
+    # Its gains in the air, where axes swing by less or more, are up to 3 % off that.
+    assert np.max(np.abs(fit.swing_gain - 1.0)) > 0.01
+    np.testing.assert_allclose(fit.matrix_in_air @ fit.response_in_air, np.eye(6), atol=1e-9)
+
+
+def creeping(wrench, share=0.005, times=(10.0, 100.0), dt=0.1):
     """Loads and what they crept, by exponentials that each add a share in the end; in use for long before."""
     read, at = wrench.copy(), np.tile(wrench.mean(axis=0), (len(times), 1))
     decay = np.exp(-dt / np.array(times))[:, None]
@@ -58,7 +70,7 @@ def creeping(wrench, share, times, dt=0.1):
     return read
 
 
-def with_backlash(wrench, share=0.03):
+def with_backlash(wrench, share=0.01):
     half = 0.5 * share * np.array([30.0, 38.0, 12.0, 8.0, 7.0, 1.7])
     read, at = np.empty_like(wrench), np.zeros(6)
     for i, load in enumerate(wrench):
@@ -66,34 +78,24 @@ def with_backlash(wrench, share=0.03):
     return read
 
 
+def in_channels(wrench):
+    matrix = SENSORS["leg"][0]
+    return lagging(wrench @ np.linalg.inv(matrix).T, 0.015, np.full(6, 20000.0)) @ matrix.T
+
+
 RASTER = swept_gravity(1500, turns=(15.0, 1.0), begin=0.0)
 """A hip turns to both sides once and sweeps from front to back meanwhile."""
 
 
-@pytest.mark.parametrize(
-    ("read_load", "gravity", "share", "most"),
-    [
-        # Neither time constant is one of the law's.
-        (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), None, 0.0015, 1.4),
-        (lambda wrench: creeping(wrench, 0.005, (10.0, 100.0)), RASTER, 0.0015, 1.4),
-        (with_backlash, RASTER, 0.03, 3.0),
-    ],
-)
-def test_a_sensor_that_lags_is_as_sure_as_it_is_right(read_load, gravity, share, most):
-    fit = calibrate_in_situ(lagging_sets(read_load, noise=0.3, gravity=gravity, seed=42))
-    np.testing.assert_allclose(fit.hysteresis[:5], share, rtol=0.35)
-    assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.003)
-    off = errors(fit, "leg", 0.0)
-    scale = np.sqrt(np.diag(fit.covariance))
-    nees = off / scale @ np.linalg.solve(fit.covariance / np.outer(scale, scale), off / scale)
-    assert nees / len(off) < most
-
-
-def test_backlash_changes_no_gain():
-    sets = lagging_sets(with_backlash, noise=0.3, gravity=RASTER, seed=42)
-    gain = np.diag(calibrate_in_situ(sets).matrix @ np.linalg.inv(SENSORS["leg"][0]))
-    # In phase with the loads 3 % of backlash takes 0.4 % off.
-    np.testing.assert_allclose(gain, 1.0, atol=0.0015)
+@pytest.mark.parametrize("read_load", [creeping, with_backlash, in_channels])
+@pytest.mark.parametrize("gravity", [None, pytest.param(RASTER, marks=pytest.mark.slow)])
+def test_a_sensor_that_lags_by_another_law_is_weighed_as_well_as_claimed(read_load, gravity):
+    """The fit has one law, loops of loads in proportion to the swing."""
+    fit = calibrate_in_situ(lagging_sets(read_load, noise=0.3, gravity=gravity, seed=42), refuse=False)
+    assert not any("The likeliest cause" in str(one) for one in (*fit.refusals, *fit.warnings))
+    if not fit.refusals:
+        assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.02)
+        assert abs(fit.limb.mass - SENSORS["leg"][1]) < 3.5 * fit.limb_mass_std
 
 
 @pytest.mark.parametrize("first", [None, np.zeros(6)])
@@ -123,7 +125,7 @@ def read_late(one, late):
 
 
 @pytest.mark.parametrize("share", [0.005, pytest.param(0.02, marks=pytest.mark.slow)])
-def test_an_axis_that_swings_little_about_a_large_load_is_unsure_of_its_offset(share):
+def test_the_offset_of_an_axis_that_swings_little_about_a_large_load(share):
     """A foot's vertical force: how it came there from zero, where the offset is, no small swing shows."""
     matrix, rng = SENSORS["foot"][0], np.random.default_rng(41)
     response, scale = np.linalg.inv(matrix), np.array([30.0, 30.0, 30.0, 3.0, 3.0, 3.0])
@@ -135,22 +137,9 @@ def test_an_axis_that_swings_little_about_a_large_load_is_unsure_of_its_offset(s
         read.append(replace(one, raw=load @ response.T + offset, time=np.arange(600) / 10.0))
     fit = calibrate_in_situ(read)
     spread = matrix @ fit.covariance[fit.columns.offset, fit.columns.offset] @ matrix.T
-    off = np.abs(matrix @ (fit.offset - offset)) / np.sqrt(np.diag(spread))
-    assert (off < 2.5).all()
-    assert off[2] > 0.4
-
-
-def test_channels_that_lag_are_no_loads_that_lag():
-    matrix = SENSORS["leg"][0]
-
-    def read_load(wrench):
-        return lagging(wrench @ np.linalg.inv(matrix).T, 0.015, np.full(6, 20000.0)) @ matrix.T
-
-    fit = calibrate_in_situ(lagging_sets(read_load, noise=0.1))
-    assert fit.hysteresis is None
-    assert (fit.channel_hysteresis > 0.005).all()
-    assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.015)
-    assert fit.stats.residual_rms < 10.0  # where the loops are 300 counts wide
+    off = np.abs(matrix @ (fit.offset - offset))
+    assert (off < 2.5 * np.sqrt(np.diag(spread))).all()
+    assert off[2] < 0.5 * share * 9.81 * SENSORS["foot"][1]
 
 
 @pytest.mark.parametrize(("seed", "samples"), [([1, 0], 600)])
@@ -158,7 +147,6 @@ def test_no_hysteresis_is_seen_where_there_is_none(sensor, seed, samples):
     sets, _ = noisy_sets(sensor, np.random.default_rng(seed), n=samples)
     fit, plain = calibrate_in_situ(sets), calibrate_in_situ(sets, options=InSituOptions(hysteresis=False))
     assert fit.hysteresis is None
-    assert fit.channel_hysteresis is None
     # A delay is less sure beside loops that might be there.
     np.testing.assert_allclose(np.diag(fit.covariance), np.diag(plain.covariance), rtol=0.01)
 

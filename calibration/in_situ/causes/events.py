@@ -1,19 +1,21 @@
-"""Causes that act on the readings of sets: leaps, touches, other loads, and limbs that are not rigid."""
+"""Mistakes that act on the readings of sets: jumps, touches, other loads, and limbs that are not rigid."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations, product
-from typing import NamedTuple
+from operator import methodcaller
 
 import numpy as np
 
 from surefoot.calibration.arrays import orthonormal
-from surefoot.calibration.in_situ.causes.evidence import Cause, Evidence
-from surefoot.calibration.in_situ.check import BENT_CURE, TOO_FAST, bending_signals
+from surefoot.calibration.diagnosis import Mistake
+from surefoot.calibration.in_situ.causes.posed import Posed
+from surefoot.calibration.in_situ.check import TOO_FAST, bending_signals
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Vector
 from surefoot.calibration.in_situ.imu import add_turning
 from surefoot.calibration.in_situ.model import DIRECT, SPREAD_ROUNDING, STATIC, signals
 from surefoot.calibration.in_situ.solver.compress import CompressedSet
 from surefoot.calibration.in_situ.solver.problem import Problem
+from surefoot.calibration.in_situ.solver.solve import Solution
 from surefoot.calibration.reference import GRAVITY
 
 _EDGES = 40  # stretches of a set at whose ends an event is looked for first
@@ -23,41 +25,25 @@ _SHORTEST = 3  # rows that a touch must last
 _BEYOND = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
 """Shares of the rows that are tried for those in which a limb presses a stop."""
 
-_TOUCHING = "Leave that time out, or record the set again with nothing near the limb."
+_CURE_BENT = "hold the joints beyond the sensor fast, or lighten what is added"
 
-
-class _Event(NamedTuple):
-    """Something that happens in one set."""
-
-    words: str  # with the set, its beginning and its end
-    cure: str  # advice for the user
-    ends: bool  # whether it ends again
-    loads: bool  # whether it goes with gravity, as a mass does
-
+_CUT = "cut the set there into two{}, or record it again"
+_TOUCHING = "leave that time out, or record the set again with nothing near the limb"
 
 _EVENTS = (
-    _Event(
-        "the zero of '{name}' leaps at {begin}",
-        "Cut the set there into two, or record it again.",
-        ends=False,
-        loads=False,
-    ),
-    _Event("something touched the limb in '{name}' from {begin} to {end}", _TOUCHING, ends=True, loads=False),
-    _Event(
-        "what hangs in '{name}' changed at {begin}",
-        "Cut the set there into two with a mass each, or record it again.",
-        ends=False,
-        loads=True,
-    ),
+    # kind, cause, cure, whether it ends again, and whether it goes with gravity, as a mass does
+    ("jump", "the zero of '{name}' leaps at {begin}", _CUT.format(""), False, False),
+    ("touch", "something touched the limb in '{name}' from {begin} to {end}", _TOUCHING, True, False),
+    ("load", "what hangs in '{name}' changed at {begin}", _CUT.format(" with a mass each"), False, True),
 )
 
 
-def try_events(evidence: Evidence) -> Iterator[Cause]:
-    """Yield the likeliest leap of a zero, touch, and change of what hangs there, in sets with times."""
-    if not evidence.timed:
+def events(posed: Posed, plain: Solution) -> Iterator[Mistake]:
+    """Yield the likeliest jump of a zero, touch, and change of what hangs there, in sets with times."""
+    if not posed.timed:
         return
-    parts, channels = evidence.problem.sets, len(evidence.problem.whitening)
-    for words, cure, ends, loads in _EVENTS:
+    parts, channels = posed.problem.sets, len(posed.problem.whitening)
+    for kind, words, cure, ends, loads in _EVENTS:
         acts = [np.ones((part.rows, 1)) for part in parts]
         if loads:
             acts = [
@@ -70,9 +56,10 @@ def try_events(evidence: Evidence) -> Iterator[Cause]:
         rows = np.arange(parts[j].rows)
         columns = [np.zeros_like(one) for one in acts]
         columns[j] = acts[j] * ((rows >= first) & (rows < last))[:, None]
-        begin, end = (evidence.when(j, int(parts[j].source.places[row])) for row in (first, last - 1))
-        named = words.format(name=evidence.sets[j].name, begin=begin, end=end)
-        yield evidence.beside(named, cure, columns, acts[j].shape[1] * channels + 1 + ends, len(parts))
+        begin, end = (posed.when(j, int(parts[j].source.places[row])) for row in (first, last - 1))
+        named = words.format(name=posed.sets[j].name, begin=begin, end=end)
+        free = acts[j].shape[1] * channels + 1 + ends
+        yield Mistake(kind, named, cure, methodcaller("beside", columns), free, len(parts))
 
 
 def _find_span(part: CompressedSet, acts: Matrix, ends: bool) -> tuple[float, int, int]:
@@ -123,42 +110,48 @@ def _measure_gains(parts: Sequence[CompressedSet], acts: Iterable[Sequence[Matri
     return np.array(gains)
 
 
-def try_bending(evidence: Evidence) -> Iterator[Cause]:
-    """Yield what goes with posture or turning alike in all sets, as no rigid limb does.
+def bending(posed: Posed, plain: Solution) -> Iterator[Mistake]:
+    """Yield effects of posture or turning that are alike in all sets, which a rigid limb does not have.
 
     A limb bends by gravity; a sensor that is not linear, by its load, which grows with the added mass. A
     cable pulls by posture, or drags against the turning. A stop presses the more, the further the limb is
     beyond a posture. A limb that moves and was taken for still has forces by each product of its rates.
     """
-    problem = evidence.problem
+    problem = posed.problem
     channels, gravity = len(problem.whitening), [part.source.signals[:, DIRECT] for part in problem.sets]
-    squares = [bending_signals(g) for g in gravity]
-    every = [np.nan_to_num(signals(data, problem.moving)) for data in evidence.sets]
-    loads = [u @ T[:, : u.shape[1]].T for u, T in zip(every, evidence.solution.loads, strict=True)]
+    every = [np.nan_to_num(signals(data, problem.moving)) for data in posed.sets]
+    loads = [u @ T[:, : u.shape[1]].T for u, T in zip(every, plain.loads, strict=True)]
     largest = np.max([np.max(np.abs(load), axis=0) for load in loads], axis=0)
     shares = [load / np.where(largest > 0.0, largest, 1.0) for load in loads]
-    cubes = evidence.at_rows([np.concatenate([x**2, x**3], axis=1) for x in shares])
+    cubes = posed.at_rows([np.concatenate([x**2, x**3], axis=1) for x in shares])
     postures = [np.column_stack([g, (g / GRAVITY) ** 3]) for g in gravity]
-    bent = "the limb bends as it turns, or the sensor is not linear"
-    pulls, loose = (
+    bent = ("bending", "the limb bends as it turns, or the sensor is not linear", _CURE_BENT)
+    pulls = (
+        "cable",
         "something pulls at the limb as it turns, such as a cable",
-        "Let cables hang loose, or fix them.",
+        "let cables hang loose, or fix them",
     )
-    stops = "something touched the limb in all sets at one end of its motion, such as the floor"
-    for words, cure, columns, known, choices in (
-        (bent, BENT_CURE, squares, 0, 2),
-        (bent, BENT_CURE, cubes, 0, 2),
-        (pulls, loose, postures, STATIC, 2),
-        (stops, _TOUCHING, _find_stop(problem), -3, 1),
-    ):
-        yield evidence.beside(words, cure, columns, columns[0].shape[1] * channels - known, choices)
-    if evidence.timed:
-        against = evidence.at_rows([np.sign(np.gradient(u[:, DIRECT], axis=0)) for u in every])
-        yield evidence.beside(pulls, loose, against, against[0].shape[1] * channels, 2)
-    moved = [] if problem.moving else list(map(_motion_of, evidence.sets))
+    stops = (
+        "stop",
+        "something touched the limb in all sets at one end of its motion, such as the floor",
+        _TOUCHING,
+    )
+    tried: list[tuple[tuple[str, str, str], list[Matrix], int, int]] = [
+        (bent, [bending_signals(g) for g in gravity], 0, 2),
+        (bent, cubes, 0, 2),
+        (pulls, postures, STATIC, 2),
+        (stops, _find_stop(problem), -3, 1),
+    ]
+    if posed.timed:
+        against = posed.at_rows([np.sign(np.gradient(u[:, DIRECT], axis=0)) for u in every])
+        tried.append((pulls, against, 0, 2))
+    moved = [] if problem.moving else list(map(_motion_of, posed.sets))
     if moved and all(len(one) for one in moved):
-        cure = "Give the gyroscope's readings as well, or move slowly."
-        yield evidence.beside(TOO_FAST, cure, evidence.at_rows(moved), moved[0].shape[1] * channels, 1)
+        fast = ("speed", TOO_FAST, "give the gyroscope's readings as well, or move slowly")
+        tried.append((fast, posed.at_rows(moved), 0, 1))
+    for words, columns, known, choices in tried:
+        free = columns[0].shape[1] * channels - known
+        yield Mistake(*words, methodcaller("beside", columns), free, choices)
 
 
 def _find_stop(problem: Problem) -> list[Matrix]:

@@ -1,16 +1,19 @@
-"""Causes in the recording: clocks, filters, values that were held, and other sensors or gains."""
+"""Mistakes in the recording: clocks, filters, values that were held, and other sensors or gains."""
 
 from collections.abc import Callable, Iterator, Sequence
+from operator import methodcaller
 
 import numpy as np
 import scipy
 
 from surefoot.calibration.arrays import orthonormal
+from surefoot.calibration.diagnosis import Mistake
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.causes.evidence import Cause, Evidence
+from surefoot.calibration.in_situ.causes.posed import Posed
 from surefoot.calibration.in_situ.check import measure_repeated
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, change_motion, read_later
 from surefoot.calibration.in_situ.model import DIRECT, SPREAD_ROUNDING, signals
+from surefoot.calibration.in_situ.solver.solve import Solution
 
 _TINY = float(np.finfo(float).tiny)
 
@@ -21,20 +24,21 @@ _DELAYS = np.geomspace(0.03, 6.0, 24)
 
 _ACCURACY = 2e-3  # share of a delay to which it is found: a message has three digits
 
-_CLOCK = "Stamp both by one clock, and log the sensor without a filter of the driver."
+_CLOCK = "stamp both by one clock, and log the sensor without a filter of the driver"
 
 
-def try_reading(evidence: Evidence) -> Iterator[Cause]:
+def clocks(posed: Posed, plain: Solution) -> Iterator[Mistake]:
     """Yield clocks that disagree, filters, and values that were held."""
-    if not evidence.timed:
+    if not posed.timed:
         return
-    held = max(map(measure_repeated, evidence.sets)) > limits.REPEATED
-    for words, cure, change, values in _READINGS:
+    held = max(map(measure_repeated, posed.sets)) > limits.REPEATED
+    for kind, words, cure, change, values in _READINGS:
         if change is _hold and not held:
             continue
-        x = _find_size(evidence.sets, change, values)
-        sets = [_change(data, change, x) for data in evidence.sets]
-        yield evidence.read_as(words.format(abs(x)), cure, sets, int(len(values) > 1), 1)
+        x = _find_size(posed.sets, change, values)
+        sets = [_change(data, change, x) for data in posed.sets]
+        undo = methodcaller("read_as", sets)
+        yield Mistake(kind, words.format(abs(x)), cure, undo, int(len(values) > 1))
 
 
 def _find_size(sets: Sequence[InSituSet], change: "_Change", values: Sequence[float]) -> float:
@@ -81,29 +85,32 @@ def _hold(values: Matrix, data: InSituSet, _: float) -> Matrix:
 
 _Change = Callable[[Matrix, InSituSet, float], Matrix]
 
-_READINGS: tuple[tuple[str, str, _Change, tuple[float, ...]], ...] = (
-    ("the IMU came about {:.3g} s after the readings", _CLOCK, read_later, tuple(_DELAYS)),
-    ("the readings came about {:.3g} s after the IMU", _CLOCK, read_later, tuple(-_DELAYS)),
+_READINGS: tuple[tuple[str, str, str, _Change, tuple[float, ...]], ...] = (
+    ("clock", "the IMU came about {:.3g} s after the readings", _CLOCK, read_later, tuple(_DELAYS)),
+    ("clock", "the readings came about {:.3g} s after the IMU", _CLOCK, read_later, tuple(-_DELAYS)),
     (
+        "filter",
         "the readings came about {:.3g} s after the IMU, as through a low-pass filter",
         _CLOCK,
         _low_pass,
         tuple(_DELAYS),
     ),
     (
+        "automatic zero",
         "the driver takes a zero off that follows the readings within {:.3g} s",
-        "Log the sensor's own readings, with no automatic zero in the driver.",
+        "log the sensor's own readings, with no automatic zero in the driver",
         lambda values, data, seconds: values - _low_pass(values, data, seconds),
         tuple(10.0 * _DELAYS),
     ),
     (
+        "held",
         "readings repeat the ones before: the driver is slower than the log, or hangs",
-        "Log each sample of the sensor once, at the time at which it was read.",
+        "log each sample of the sensor once, at the time at which it was read",
         _hold,
         (0.0,),
     ),
 )
-"""Causes in words, their cures, how gravity was to be read then, and the sizes that are tried."""
+"""Kinds, causes, cures, how gravity was to be read then, and the sizes that are tried."""
 
 
 def _share_left(sets: Sequence[InSituSet]) -> float:
@@ -122,19 +129,20 @@ def _share_left(sets: Sequence[InSituSet]) -> float:
     return float(np.sqrt(np.mean(found)))
 
 
-def try_sensor(evidence: Evidence) -> Iterator[Cause]:
+def sensors(posed: Posed, plain: Solution) -> Iterator[Mistake]:
     """Yield a channel whose gain changes at a set, and a set that another sensor has read."""
-    parts, A = evidence.problem.sets, evidence.solution.A
-    channels, count = len(evidence.problem.whitening), len(parts)
-    cure = "Check its cable and the amplifier's gain, and record all sets with one sensor."
+    parts, A = posed.problem.sets, plain.A
+    channels, count = len(A), len(parts)
+    cure = "check its cable and the amplifier's gain, and record all sets with one sensor"
     of_gravity = [part.source.signals[:, DIRECT] for part in parts]
-    loads = [g @ T[:, :3].T for g, T in zip(of_gravity, evidence.solution.loads, strict=True)]
+    loads = [g @ T[:, :3].T for g, T in zip(of_gravity, plain.loads, strict=True)]
     for j in range(count):
-        name = evidence.sets[j].name
+        name = posed.sets[j].name
         other = [(i == j) * g for i, g in enumerate(of_gravity)]
         words = f"another sensor, gain or order of channels in '{name}'"
-        yield evidence.beside(words, cure, other, 3 * channels, count)
+        yield Mistake("sensor", words, cure, methodcaller("beside", other), 3 * channels, count)
         for channel in range(channels) if j else ():
             read = [(load @ A[channel])[:, None] * (i >= j) for i, load in enumerate(loads)]
             words = f"channel {channel} has another gain from '{name}' on"
-            yield evidence.beside(words, cure, read, channels, channels * (count - 1))
+            undo = methodcaller("beside", read)
+            yield Mistake("gain", words, cure, undo, channels, channels * (count - 1))

@@ -5,7 +5,6 @@ Rows of all sets have noise of variance one, so that priors have their weight am
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from functools import cached_property
 from typing import NamedTuple
 
@@ -56,14 +55,6 @@ class Maker(NamedTuple):
         return rows, right
 
 
-class Law(Enum):
-    """How a sensor lags behind its load: by loops in proportion, by one width at any swing, or in time."""
-
-    LOOPS = "loops"
-    BACKLASH = "backlash"
-    CREEP = "creep"
-
-
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A least-squares problem in readings whitened by the noise, z = W r."""
@@ -73,7 +64,7 @@ class Problem:
     basis: Matrix  # T_p, shape (p, 6, s) for s signals: w = sum_p phi_p T_p u
     moving: bool  # whether the signals are those of a moving limb
     temperature: bool  # whether the temperature is a signal that acts on the readings directly
-    channel_lags: int  # number of such signals behind it, the lags of channels
+    direct: int  # number of further signals that act on the readings directly, those of a cause
     rotation: bool  # whether the accelerometer's rotation is unknown
     maker: Maker | None  # prior of the response, or None
     limb: Vector  # expected inertial parameters, shape (p,); zero where nothing is known
@@ -82,7 +73,6 @@ class Problem:
     """Variances of readings that the maker's matrix and its limb leave, shape (k,); None without one."""
     gains: int = 0
     """Number of parameters behind the limb's that are gains of the axes with the temperature: 6 or 0."""
-    law: Law = Law.LOOPS  # of the hysteresis
     changes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 1, 1)))
     """Directions in which the added parameters may change, each with an unknown, shape (q, J, p)."""
 
@@ -134,8 +124,8 @@ class Problem:
     @property
     def of_lags(self) -> slice:
         """Places of the loops of hysteresis in the signals; or empty."""
-        behind = self.basis.shape[2] if self.hysteresis else self.signals.shape[2]
-        return slice(behind - (AXES if self.hysteresis else self.channel_lags), behind)
+        behind = self.basis.shape[2]
+        return slice(behind - AXES * self.hysteresis, behind)
 
     @property
     def loops(self) -> slice:
@@ -144,18 +134,13 @@ class Problem:
 
     @property
     def hysteresis(self) -> bool:
-        """Whether the axes' hysteresis is part of the problem."""
+        """Whether hysteresis is part of the problem."""
         return bool(self.parameters > self.loops.start)
-
-    @property
-    def lags(self) -> bool:
-        """Whether loads or channels lag."""
-        return bool(self.hysteresis or self.channel_lags)
 
     @property
     def inputs(self) -> int:
         """Columns of the response: six, and one more for each signal that acts on the readings directly."""
-        return AXES + self.temperature + self.channel_lags
+        return AXES + self.temperature + self.direct
 
     @cached_property
     def signals(self) -> NDArray[np.float64]:
@@ -185,10 +170,6 @@ class Problem:
         return self.parameters + 3 * self.rotation + len(self.changes)
 
 
-CREEPING = np.geomspace(4.0, 128.0, 6)
-"""Time constants of creep in s, an octave apart: faster ones look like a clock that is late, slower ones like
-a drift."""
-
 _FEW = 10.0  # free samples a channel up to which their covariance is drawn to a diagonal one in earnest
 _OF_MAKER = 6.0  # degrees of freedom that the noise by the maker's matrix counts as
 _LEAST_MASS = 1e-3  # mass of a limb in kg that is taken at least
@@ -206,7 +187,7 @@ def problem_of(task: Task, parts: tuple[CompressedSet, ...], temperature: bool) 
         basis=transform_basis(task.moving),
         moving=task.moving,
         temperature=temperature,
-        channel_lags=0,
+        direct=0,
         rotation=task.options.estimate_rotation,
         maker=None,
         limb=limb,

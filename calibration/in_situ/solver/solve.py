@@ -100,12 +100,7 @@ class Solution:
 
     @property
     def shares(self) -> Vector:
-        """Shares of hysteresis of each axis, shape (6,), or of each channel, shape (k,).
-
-        Those of creep are for an octave of time, as those of loops are for a doubling of the swing.
-        """
-        if self.problem.channel_lags:
-            return np.diag(self.response[:, -self.problem.channel_lags :])
+        """Shares of hysteresis of each axis, shape (6,)."""
         return self.limb[self.problem.loops]
 
     @cached_property
@@ -318,21 +313,15 @@ def follow(make: _Make, solution: Solution, rounds: int) -> Solution:
     return solution
 
 
-def beside_loads(
-    plain: Problem, columns: Sequence[Matrix], std: float, slopes: Matrix | None = None
-) -> Problem:
+def beside_loads(plain: Problem, columns: Sequence[Matrix], std: float) -> Problem:
     """Add signals of the loads to a problem, each with one parameter of expected size: an axis's share of it.
 
-    Signals are of the axes at the rows of each set, (m, 6), or behind q of ``slopes``: those of the wrench of
-    each of the first signals by the parameters, (q, 6, p).
+    Signals are of the axes at the rows of each set, (m, 6).
     """
     p, _, s = plain.basis.shape
-    extra = () if slopes is None else slopes
-    basis = np.zeros((p + AXES, AXES, s + len(extra) + AXES))
+    basis = np.zeros((p + AXES, AXES, s + AXES))
     basis[:p, :, :s] = plain.basis
-    basis[p:, :, -AXES:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
-    for place, slope in enumerate(extra, s):
-        basis[:p, :, place] = slope.T
+    basis[p:, :, s:] = np.eye(AXES)[:, :, None] * np.eye(AXES)[:, None, :]
     return replace(
         plain,
         sets=add_signals(plain.sets, columns, s),
@@ -345,8 +334,8 @@ def beside_loads(
 
 def beside_channels(plain: Problem, columns: Sequence[Matrix]) -> Problem:
     """Return the problem with signals that act on the readings directly, at the rows of each set, (m, q)."""
-    lags = plain.channel_lags + columns[0].shape[1]
-    return replace(plain, sets=add_signals(plain.sets, columns), channel_lags=lags)
+    direct = plain.direct + columns[0].shape[1]
+    return replace(plain, sets=add_signals(plain.sets, columns), direct=direct)
 
 
 def criterion(solution: Solution) -> float:

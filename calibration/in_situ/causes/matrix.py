@@ -2,22 +2,24 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.arrays import skew
-from surefoot.calibration.diagnosis import Experience, Mistake, Tried
+from surefoot.calibration.diagnosis import CLEARER, Experience, Fitted, Mistake, investigate
 from surefoot.calibration.in_situ import limits
-from surefoot.calibration.in_situ.causes.ranking import Causes, penalise, tell_causes
 from surefoot.calibration.in_situ.data import Matrix, Task, Vector
-from surefoot.calibration.in_situ.maker import log_evidence, log_prior
+from surefoot.calibration.in_situ.judge import check_masses
+from surefoot.calibration.in_situ.maker import log_evidence, log_prior, prior_of
 from surefoot.calibration.in_situ.model import AXES, DIRECT, LEAST_LEVER, MASS, MOMENT, STATIC
-from surefoot.calibration.in_situ.solver.problem import Problem, weigh_limb
-from surefoot.calibration.in_situ.solver.solve import Solution, solve
+from surefoot.calibration.in_situ.solver.problem import Problem, starts, weigh_limb
+from surefoot.calibration.in_situ.solver.solve import Solution, minima, solve
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import Finding
 
+_ABSURD = -1e9  # log evidence of a matrix by which the limb has a negative mass
 _TRIED = 4  # ways of each kind, those that miss least, that are fitted
 
 _COARSE = (0.2, 0.05, 0.01, 0.002)
@@ -36,16 +38,36 @@ _POUND = 0.45359237  # in kg
 _CURE = "correct that, or compare the matrix with the maker's sheet, its signs and exponents first"
 
 
-def check_factory(task: Task, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
+def check_factory(task: Task, problem: Problem, determined: bool) -> list[Finding]:
     """Return whether a factory matrix contradicts the readings, and how it is to be read.
+
+    The problem has no prior by the matrix. Without it, sets that contradict each other say nothing of it.
+    """
+    if task.factory is None:
+        return []
+    response = np.asarray(np.linalg.pinv(task.factory))
+    # Masses in one plane leave a rotation and its mirror image: the matrix knows which.
+    by_data = min(
+        minima(problem, starts(problem, None, None)),
+        key=lambda one: float(np.sum((problem.whitening @ (one.A - response)) ** 2)),
+    )
+    with_maker = replace(problem, maker=prior_of(task, problem.noise))
+    found = _read_otherwise(task, with_maker, by_data, determined)
+    if any(one.refuses for one in found) and determined:
+        doubted = check_masses(by_data)
+        found = doubted + found if any(one.refuses for one in doubted) else found
+    return found
+
+
+def _read_otherwise(task: Task, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
+    """Compare a factory matrix with the readings, and with other ways to read it where it misses much.
 
     Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are compared
     with the loads: by a solution without the matrix if that is determined or the limb known, else by the limb
-    that the matrix shows itself. Where it misses much, other ways to read it are causes like all others. The
-    problem has the prior by the matrix.
+    that the matrix shows itself. The problem has the prior by the matrix.
     """
     assert task.factory is not None
-    factory = task.factory
+    factory, owner = task.factory, task.owner
     limb_known = determined or (task.limb is not None and task.limb.com is not None)
     expected = _loads(solution) if limb_known else _hangs(factory, solution)
     measured = np.concatenate([part.response[:, DIRECT] @ part.turned.T for part in problem.sets], axis=1)
@@ -64,34 +86,38 @@ def check_factory(task: Task, problem: Problem, solution: Solution, determined: 
     gravity = np.concatenate([part.turned.T for part in problem.sets], axis=1)
     known = weight * expected if limb_known and expected is not None else None
     turn = _find_turn(weight * (factory @ measured), known, gravity)
-    turned = [("", factory)] if turn is None else [_turn_frame(factory, turn)]
-    if now < limits.FACTORY_MISSES and miss(turned[0][1]) >= limits.READ_BETTER * now:
+    ways = [] if turn is None else [(3, "rotation", _tell_rotation(turn), [_turn_frame(factory, turn)])]
+    if now < limits.FACTORY_MISSES and (not ways or miss(ways[0][3][0][1]) >= limits.READ_BETTER * now):
         return []
+    if now >= limits.FACTORY_MISSES:
+        ways.append((0, "reading", _CURE, list(_other_readings(factory))))
+        if expected is not None:
+            ways.append((1, "entry", _CURE, list(_other_entries(factory, measured, expected))))
+            ways.append((3, "point", _CURE, list(_other_point(factory, measured, expected))))
     start = solution.outer.copy()
     if not limb_known:
         start[: problem.parameters] = problem.limb
-    rows = sum(part.rows for part in problem.sets)
-    before, tried = _evidence_of(factory, problem, solution.rotation, start), list[Tried]()
-    ways = [] if turn is None else [(3, turned)]
-    if now >= limits.FACTORY_MISSES:
-        ways.append((0, list(_other_readings(factory))))
-    if expected is not None and now >= limits.FACTORY_MISSES:
-        ways.append((1, list(_other_entries(factory, measured, expected))))
-        ways.append((3, list(_other_point(factory, measured, expected))))
-    for free, others in ways:
+
+    def fit(matrix: Matrix) -> Fitted:
+        return Fitted(_evidence_of(matrix, problem, solution.rotation, start), miss(matrix))
+
+    mistakes = []
+    for free, kind, cure, others in ways:
         scored = sorted(((miss(matrix), words, matrix) for words, matrix in others), key=lambda way: way[0])
         for left, words, matrix in scored[:_TRIED]:
             if left < min(limits.READ_BETTER * now, 1.0):
-                evidence = _evidence_of(matrix, problem, solution.rotation, start)
-                cure = _tell_rotation(turn) if matrix is turned[0][1] and turn is not None else _CURE
-                mistake = Mistake("", words.format(owner=task.owner), cure)
-                tried.append(Tried(mistake, evidence - penalise(free, rows, len(others)), left))
-    if not tried or max(one.evidence for one in tried) < before + limits.CLEARER:
+                undo = partial(_read, matrix=matrix)
+                mistakes.append(Mistake(kind, words.format(owner=owner), cure, undo, free, len(others)))
+    found = investigate(factory, mistakes, fit, EXPERIENCE, sum(part.rows for part in problem.sets))
+    if max((one.evidence for one in found.causes), default=-np.inf) < CLEARER:
         return []
     at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
-    finding = Finding("factory matrix", f"The {task.owner} matrix {at_odds}.", "", now, limits.MOVED)
-    causes = Causes.of(tried, before, now, EXPERIENCE)
-    return [replace(tell_causes(finding, causes), refuses=now > limits.MOVED)]
+    finding = Finding("factory matrix", f"The {owner} matrix {at_odds}.", "", now, limits.MOVED)
+    return [replace(found.explain(finding), refuses=now > limits.MOVED)]
+
+
+def _read(_: Matrix, matrix: Matrix) -> Matrix:
+    return matrix
 
 
 def _find_turn(measured: Matrix, expected: Matrix | None, gravity: Matrix) -> Rotation | None:
@@ -148,7 +174,7 @@ def _evidence_of(matrix: Matrix, problem: Problem, rotation: Matrix, start: Vect
         sound = fitted.limb[MASS] > 0.0
         outer = fitted.outer if sound else outer
         scores.append(log_evidence(fitted) + log_prior(share) if sound else -np.inf)
-    return float(np.logaddexp.reduce(scores))
+    return max(float(np.logaddexp.reduce(scores)), _ABSURD)
 
 
 def _hangs(matrix: Matrix, solution: Solution) -> Matrix | None:
