@@ -44,7 +44,7 @@ HARD_EPISODES ?= 32
 ROBOTS ?= 3
 FEEDS := --severity 1 --severity 2 --feed true --feed raw --feed moment
 results: $(VENV)/.dev
-	$(BIN)/surefoot compare walking --seeds $(WALKS) --out $(RESULTS)/walking
+	$(BIN)/python benchmarks/walks.py --seeds $(WALKS) --jobs 2
 	for task in balance:NaoBalance walk:NaoCarry; do \
 		$(BIN)/surefoot evaluate surefoot/$${task#*:}-v0 shipped shipped-randomised stabiliser zero $(FEEDS) \
 			--feed weights --feed quasi-static --feed window --seeds $(EPISODES) --jobs 2 \
@@ -53,8 +53,8 @@ results: $(VENV)/.dev
 			--out $(RESULTS)/$${task%:*}-hard || exit 1; \
 	done
 	$(BIN)/python benchmarks/in_situ_paper.py --seeds $(RIGS) --jobs 2
-	$(BIN)/surefoot compare robots --seeds $(ROBOTS) --jobs 2 --out $(RESULTS)/robots
-	$(BIN)/surefoot compare walking --full --seeds $(WALKS) --out $(RESULTS)/full
+	$(BIN)/python benchmarks/robots.py --seeds $(ROBOTS) --jobs 2
+	$(BIN)/python benchmarks/cop_paper.py --seeds $(WALKS) --jobs 2
 	$(BIN)/python docs/study_tables.py $(RESULTS)
 
 # Studies that take minutes: a million fuzzed samples, consistency over 200 runs.

@@ -9,7 +9,7 @@ and the calibrators are told
 * the centre of pressure of the record before the errors were put in,
 * when nothing stood on the plate.
 
-Scored is as the walks of ``surefoot compare walking`` are, against the record itself, for truth that no
+Scored is as walks are by ``walks.py``, against the record itself, for truth that no
 record knows better: a plate's own errors are in both.
 
 ``$SUREFOOT_DATA`` has to hold ``foot/wii_board_18min.npz``, ``caltester_FP1_600hz.npz`` (made from public
@@ -28,6 +28,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from rich.console import Console
+from streams import TRUE_MAP, Stream, score_all
 
 from surefoot.arrays import Floats
 from surefoot.calibration import GRAVITY, METHODS, FeetLayout, FootLayout, Parameters, Reference, zero_phase
@@ -35,9 +36,6 @@ from surefoot.calibration.contacts import reference_of_contacts
 from surefoot.calibration.cop import cop_of_cells
 from surefoot.experiments.logs.format import Log, LogTruth
 from surefoot.experiments.study.tables import Frame, Table, with_interval
-from surefoot.experiments.walks.play import Stream, play
-from surefoot.experiments.walks.run_score import score_run
-from surefoot.experiments.walks.scenarios import TRUE_MAP
 from surefoot.experiments.walks.score import hold_last
 
 RATE = 80.0  # samples per second that all recordings are brought to: the rate of the CoP paper's cells
@@ -217,8 +215,7 @@ def score(folder: Path, name: str, method: str, seeds: range) -> Frame:
     """Score a method on a recording of :data:`RECORDINGS` with errors put in, a row a seed."""
     streams = [spoil(RECORDINGS[name](folder), seed) for seed in seeds]
     options = IMPATIENT if name == "pole" and method in ("window", "quasi-static") else {}
-    played = play(streams, method, **options)
-    return pd.DataFrame([score_run(*pair) for pair in zip(streams, played, strict=True)])
+    return pd.DataFrame(score_all(streams, method, **options))
 
 
 def score_table(folder: Path, name: str, seeds: int) -> Table:

@@ -10,11 +10,11 @@ from typer import Option
 from typer.core import TyperGroup
 
 import surefoot
-from surefoot.experiments.cli import calibrate, compare, controllers, view
+from surefoot.experiments.cli import calibrate, controllers, demo, view
 from surefoot.experiments.cli.console import INTERRUPTED
 from surefoot.names import page
 
-ORDER = ["demo", "view", "compare", "check", "calibrate", "train", "evaluate"]
+ORDER = ["demo", "view", "check", "calibrate", "train", "evaluate"]
 
 
 class _InOrder(TyperGroup):
@@ -44,10 +44,9 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-app.add_typer(compare.app, name="compare")
 app.add_typer(calibrate.app, name="calibrate")
 app.command(epilog=f"Kinds of logs: {page('check')}")(calibrate.check)
-app.command()(compare.demo)
+app.command()(demo.demo)
 app.command()(view.view)
 for command in (controllers.train, controllers.evaluate):
     app.command()(command)

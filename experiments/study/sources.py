@@ -14,7 +14,7 @@ from surefoot.sensors import presets
 
 _PACKAGES = ("calibration", "controllers", "envs", "experiments", "native", "robot", "sensors", "wrappers")
 _SOURCES = (".py", ".xml", ".h", ".c")
-_SHOWING = {"cli", "view", "page.py", "figures.py", "tables.py", "findings.py"}
+_SHOWING = {"cli", "view", "page.py", "figures.py", "tables.py"}
 """Folders and files of ``surefoot.experiments`` that show results and decide none."""
 
 

@@ -1,4 +1,4 @@
-"""Walks in closed loop: the stabilised walk of a NAO on its own feet."""
+"""The stabilised walk of a NAO in closed loop, on the feet of a feed."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -8,13 +8,11 @@ from surefoot.experiments.evaluate.episode import EpisodeStep, Stage, run_episod
 from surefoot.experiments.evaluate.setup import Setup
 from surefoot.experiments.walks.walkers import STAND_TIME
 
-WALK = "surefoot/NaoWalk-v0"
-SHORTEST = 2.0  # shortest walk in s that a pattern is planned for
-TABLE = "episodes"  # name of the table of a study's store that holds the rows
+SHORTEST = 2.0  # shortest walk in s for which a pattern is planned
 
 
 class Walk(NamedTuple):
-    """A walk on the feet of a feed; durations include the standing before it."""
+    """A walk on the feet of a feed; its duration includes the standing before it."""
 
     feed: str
     speed: float  # m/s
@@ -24,22 +22,21 @@ class Walk(NamedTuple):
 
     @property
     def setup(self) -> Setup:
-        """The environment; its plan goes on beyond the end of the walk."""
+        """The environment, whose plan continues beyond the end of the walk."""
         planned = max(self.duration, SHORTEST) + 2 * STAND_TIME
         options = {"speed": self.speed, "duration": planned, "stand_time": STAND_TIME}
         longest = max(self.duration, STAND_TIME + CONTROL_STEP)
-        return Setup(WALK, options, "hx711-load-cells", settle=STAND_TIME, duration=longest)
+        return Setup("surefoot/NaoWalk-v0", options, "hx711-load-cells", settle=STAND_TIME, duration=longest)
 
     def steps(self, **drawing: Any) -> Iterator[EpisodeStep]:
-        """Run it; drawing options change nothing but pictures."""
+        """Run the walk; options of drawing change nothing but pictures."""
         stage = Stage.make(self.setup, "stabiliser", self.feed, self.severity, **drawing)
         try:
             yield from stage.steps(self.seed)
         finally:
             stage.env.close()
 
-
-def loop_row(walk: Walk) -> dict[str, list[dict[str, Any]]]:
-    """Return the row of a walk; its time counts from the beginning, standing included."""
-    row = run_episode(walk.setup, "stabiliser", walk.feed, walk.severity, walk.seed)
-    return {TABLE: [{**row, "speed": walk.speed, "time": row["time"] + STAND_TIME}]}
+    def row(self) -> dict[str, Any]:
+        """Run the walk, and return its row; its time includes the standing."""
+        row = run_episode(self.setup, "stabiliser", self.feed, self.severity, self.seed)
+        return {**row, "feed": self.feed, "speed": self.speed, "time": row["time"] + STAND_TIME}

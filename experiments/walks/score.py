@@ -18,11 +18,14 @@ that is the same formula with other forces in the truth's place.
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Floats
 from surefoot.calibration.cop import FORCE_THRESHOLD, cop_of_feet, cop_of_wrench, sole_wrenches
 from surefoot.calibration.layout import FeetLayout
+
+RUNNING = 2.0  # length in s of the running error
 
 
 class Score(NamedTuple):
@@ -135,3 +138,13 @@ def hold_last(values: Floats, there: NDArray[np.bool_] | None = None) -> Floats:
     last = np.maximum.accumulate(np.where(there, np.arange(len(values))[:, None], -1), axis=0)
     carried: Floats = np.take_along_axis(values, np.maximum(last, 0), axis=0)
     return np.where(last >= 0, carried, np.nan)
+
+
+def running_rmse(time: Floats, error: Floats) -> Floats:
+    """Return the rms of the last 2 s at each sample, shape (N,), of times in s and sizes of errors.
+
+    Errors that are NaN do not count. The result is NaN before there were 2 s, and where no sample counts.
+    """
+    square = pd.Series(np.where(np.isfinite(error), error, np.nan) ** 2, pd.to_timedelta(time, unit="s"))
+    mean = square.rolling(pd.Timedelta(RUNNING, unit="s"), min_periods=1).mean().to_numpy()
+    return np.where(time >= time[0] + RUNNING, np.sqrt(np.maximum(mean, 0.0)), np.nan)

@@ -35,7 +35,7 @@ def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    monkeypatch.setattr("sys.argv", ["/somewhere/surefoot", "compare", "walking", "--out", "out/a b"])
+    monkeypatch.setattr("sys.argv", ["/somewhere/surefoot", "evaluate", "a", "--out", "out/a b"])
     rows = (("a|b", "NaN", "1", "x"), ("tare", "> 5.1 ± *1.3", "2", "y"))
     save_tables(
         tmp_path / "out/a/tables", [Table("methods", "Methods", ("method", "CoP", "paper", "paper"), rows)]
@@ -60,7 +60,7 @@ def test_the_script_takes_what_pages_name_and_keeps_what_no_study_wrote(
     script.main(tmp_path / "out")
     table = script.read_table(tmp_path / "docs/data", "a/methods")
     assert table.lines[1:] == [["a|b", "NaN", "1", "x"], ["tare", "> 5.1 ± *1.3", "2", "y"]]
-    assert table.command == "surefoot compare walking --out 'out/a b'"
+    assert table.command == "surefoot evaluate a --out 'out/a b'"
     made = json.loads((tmp_path / "out/a/tables" / MADE).read_text())
     assert table.version == f"{made['software']}, {made['date']}"
     said = capsys.readouterr().out
@@ -95,7 +95,7 @@ def test_a_table_has_the_columns_and_rows_that_the_page_names(
     monkeypatch.setattr(script, "readme_table", lambda data: "")
     script.main(tmp_path / "out")
     shown = " ".join(render(PAGE, script).astext().split())
-    assert shown.startswith("Page The caption. method paper CoP tare 2 > 5.1 ± *1.3 surefoot compare walking")
+    assert shown.startswith("Page The caption. method paper CoP tare 2 > 5.1 ± *1.3 surefoot evaluate a")
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -27,7 +27,7 @@ from surefoot.experiments.study import progress
 from surefoot.experiments.study.tables import Table, decimal, number
 from surefoot.names import page
 
-COMMANDS = ("demo", "view", "compare", "check", "calibrate", "train", "evaluate")
+COMMANDS = ("demo", "view", "check", "calibrate", "train", "evaluate")
 
 
 def test_version_and_help() -> None:
@@ -51,13 +51,6 @@ def test_help_imports_nothing_heavy() -> None:
     heavy = {"numpy", "scipy", "pandas", "pyarrow", "matplotlib", "jinja2", "joblib", "gymnasium", "mujoco"}
     assert heavy & set(ast.literal_eval(done.stderr)) == set()
     assert "calibrate" in done.stdout
-
-
-def test_the_full_study_chooses_its_scenarios_itself() -> None:
-    fails(
-        ["compare", "walking", "--full", "--method", "tare"],
-        "--full has scenarios and methods of its own; leave out --scenario and --method.",
-    )
 
 
 def test_a_calibrated_walk_as_json(log: Log, tmp_path: Path, undrawn: None) -> None:

@@ -31,7 +31,6 @@ from surefoot.calibration import (
 from surefoot.experiments.evaluate.grid import Plan
 from surefoot.experiments.logs.format import Log, write_log
 from surefoot.experiments.view.session import check_method
-from surefoot.experiments.walks.options import WalkStudyOptions
 from surefoot.robot.foot_view import check_certainty
 from surefoot.sensors import PRESETS, Fault, ForceTorque, Imu, LoadCells, preset, presets, register_preset
 from surefoot.wrappers import FootSensors, SelfCalibration, VectorFootSensors, VectorSelfCalibration
@@ -149,7 +148,6 @@ def test_a_users_calibrator_goes_by_its_name_where_methods_do(own, log: Log, tmp
 
 def test_a_users_calibrator_takes_part_in_studies(own):
     name = "my_feet:slow-tare"
-    assert WalkStudyOptions(methods=("none", name)).rows[1:] == ("none", name)
     plan = Plan.of("surefoot/NaoWalk-v0", "stabiliser", feeds=("true", name), severities=(1.0,), seeds=(0,))
     assert [episode.feed for episode in plan.episodes] == ["true", name]
     key = plan.cases()[-1].key

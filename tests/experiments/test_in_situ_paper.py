@@ -53,9 +53,9 @@ def test_the_experiment_has_a_row_for_each_method_and_unseen_set(paper, found):
 def test_refused_fits_miss_the_targets_unless_the_converter_ended(paper, found):
     fits, sets = found["fits"].assign(clipped=False), found["sets"]
     key = {"sensor": "leg", "seed": 1, "method": paper.PUBLISHED}
-    mine = (fits[list(key)] == key.values()).all(axis=1)
+    mine, theirs = ((part[list(key)] == pd.Series(key)).all(axis=1) for part in (fits, sets))
     fits.loc[mine, ["refusal", "limb_error"]] = ["no", np.nan]
-    left = {**found, "fits": fits, "sets": sets[~(sets[list(key)] == key.values()).all(axis=1)]}
+    left = {**found, "fits": fits, "sets": sets[~theirs]}
     assert [one.refused for one in paper.targets(left)] == [0, 4, 4, 3, 1, 0, 0]
     assert not any(one.refused for one in paper.targets(left | {"fits": fits.assign(clipped=mine)}))
 

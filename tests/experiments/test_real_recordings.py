@@ -8,7 +8,6 @@ import pytest
 from _recordings import DATA, needs
 
 from surefoot.experiments.logs.format import read_log
-from surefoot.experiments.walks.scenarios import TRUE_MAP
 
 pytestmark = [pytest.mark.slow, needs("foot")]
 
@@ -42,7 +41,7 @@ def test_a_rocked_pole_gets_its_force_back(score):
 
 @pytest.mark.parametrize("name", ["board", "pole"])
 def test_errors_that_are_put_in_can_be_undone(score, name):
-    floor = score(name, TRUE_MAP)
+    floor = score(name, "true-map")
     assert floor["scale"] < 1e-12
     assert floor["offset"] < 1e-9
     assert floor["cell"] < 1e-9

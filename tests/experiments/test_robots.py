@@ -1,22 +1,26 @@
-"""Robots that others made: they do the same on any feet, and a study needs no package."""
+"""Robots made by others: they do the same on any feet, and servos hold them."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from surefoot.envs.exercise.held import HeldRobot
-from surefoot.experiments.walks import robots as study
-from surefoot.experiments.walks.robots import METHODS, Motion, claims_of, compare_robots, run_robot
-
-FALLS = Motion("Walker2d-v5", "falling", 0.3)
 
 
-def test_the_robot_does_the_same_whatever_its_feet_are_calibrated_by() -> None:
-    rows = run_robot(FALLS, "load cells", seed=3, duration=1.6)["scores"]
-    assert [row["method"] for row in rows] == list(METHODS)
+@pytest.fixture(scope="module")
+def script(benchmark_script):
+    return benchmark_script("robots")
+
+
+def test_the_robot_does_the_same_whatever_its_feet_are_calibrated_by(script) -> None:
+    falls = script.Motion("Walker2d-v5", "falling", 0.3)
+    rows = script.score(falls, "load cells", seed=3, duration=1.6)["scores"]
+    assert [row["method"] for row in rows] == list(script.METHODS)
     assert rows[0]["falls"] > 0
     assert {row["falls"] for row in rows} == {rows[0]["falls"]}
     assert len({row["vgrf"] for row in rows}) > 1
+    (row,) = script.robot_table(pd.DataFrame(rows), "load cells").rows
+    assert row[0] == "Walker2d-v5"
 
 
 @pytest.mark.parametrize(
@@ -41,7 +45,7 @@ def test_servos_hold_a_robot_in_its_pose_unless_its_targets_are_thrown_about(nam
     assert any(env.step(rng.uniform(-0.4, 0.4, still.shape))[2] for _ in range(400))
 
 
-def test_a_claim_counts_the_cases_in_which_the_difference_leaves_its_interval() -> None:
+def test_harm_counts_the_cases_in_which_the_difference_leaves_its_interval(script) -> None:
     errors = {
         "none": (1.0, 2.0, 3.0),
         "tare": (1.0, 2.0, 3.0),
@@ -55,21 +59,16 @@ def test_a_claim_counts_the_cases_in_which_the_difference_leaves_its_interval() 
         for method, of in errors.items()
         for seed in range(3)
     ]
-    tare, window, moment, *_ = claims = claims_of(pd.DataFrame(rows))
-    assert (tare.met, window.met, moment.met) == (True, False, True)
-    assert (window.measured, moment.measured) == ("2 of 2 (2 in the mean)", "0 of 2 (2 in the mean)")
-    assert all(claim.met for claim in claims[3:])
+    tare, window, moment, *of_force = script.harm_table(pd.DataFrame(rows)).rows
+    assert (tare[3], window[3], moment[3]) == ("yes", "no", "yes")
+    assert (window[2], moment[2]) == ("2 of 2 (2 in the mean)", "0 of 2 (2 in the mean)")
+    assert all(row[3] == "yes" for row in of_force)
 
 
-def test_without_the_package_the_others_are_compared_and_the_page_says_so(tmp_path, monkeypatch) -> None:
+def test_without_the_package_the_robots_of_gymnasium_are_run(script, monkeypatch, capsys) -> None:
     def missing(name: str) -> None:
         raise ModuleNotFoundError("The package is not installed.")
 
-    monkeypatch.setattr(study, "load_robot_spec", missing)
-    motions = (FALLS, Motion("g1", "standing"))
-    report = compare_robots(tmp_path, seeds=2, jobs=1, duration=1.2, motions=motions)
-    cells, ankles, claims = report.tables
-    assert [row[0] for row in (*cells.rows, *ankles.rows)] == ["Walker2d-v5"] * 2
-    assert len(claims.rows) == 2 * len(METHODS[1:])
-    assert "Robots of the package are left out: The package is not installed." in report.page.read_text()
-    assert (tmp_path / "tables" / "load_cells.csv").is_file()
+    monkeypatch.setattr(script, "load_robot_spec", missing)
+    assert {motion.packaged for motion in script.runnable(script.MOTIONS)} == {False}
+    assert "left out: The package is not installed." in capsys.readouterr().out

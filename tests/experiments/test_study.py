@@ -235,7 +235,7 @@ def test_cells_are_coloured_by_verdicts_and_not_by_words(tmp_path: Path) -> None
 
 def test_code_that_decides_results_counts_and_code_that_shows_them_does_not(monkeypatch):
     read, before = Path.read_bytes, source_hash.__wrapped__()
-    for file, counts in (("native/surefoot_moment.h", True), ("walks/page.py", False)):
+    for file, counts in (("native/surefoot_moment.h", True), ("walks/figures.py", False)):
         changed = lambda path, end=file: read(path) + b"\n" * path.as_posix().endswith(end)  # noqa: E731
         monkeypatch.setattr(Path, "read_bytes", changed)
         assert (source_hash.__wrapped__() != before) == counts

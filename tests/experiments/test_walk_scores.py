@@ -5,27 +5,29 @@ import dataclasses
 import numpy as np
 import pytest
 
-from surefoot.calibration import GRAVITY, Flag
+from surefoot.calibration import Flag
 from surefoot.calibration.layout import FeetLayout, FootLayout
 from surefoot.experiments.logs.format import Log
 from surefoot.experiments.study.statistics import mean_interval
-from surefoot.experiments.walks.gait_cycle import cycle_rows
-from surefoot.experiments.walks.play import FALLING, Played, Stream, _normalise, cut_fall, play
-from surefoot.experiments.walks.run_score import running_rmse, score_run
-from surefoot.experiments.walks.score import cop_world, hold_last, score_forces
+from surefoot.experiments.walks.score import cop_world, hold_last, running_rmse, score_forces
 from surefoot.sensors import Fault
 
 RNG = np.random.default_rng(11)
 
 
-def stream_of(log: Log, **changes: object) -> Stream:
-    return dataclasses.replace(Stream(log=log, seed=5, judged=log.time >= 0.25, began=0.0), **changes)
+@pytest.fixture(scope="module")
+def streams(benchmark_script):
+    return benchmark_script("streams")
 
 
-def played_as(log: Log, force: np.ndarray, flags: np.ndarray | None = None) -> Played:
+def stream_of(streams, log: Log, **changes: object):
+    return dataclasses.replace(streams.Stream(log=log, seed=5, judged=log.time >= 0.25, began=0.0), **changes)
+
+
+def played_as(streams, log: Log, force: np.ndarray, flags: np.ndarray | None = None):
     shape = log.raw.shape
     silent = np.zeros(shape, dtype=np.int64) if flags is None else flags
-    return Played(force, np.ones(shape), np.zeros(shape), silent)
+    return streams.Played(force, np.ones(shape), np.zeros(shape), silent)
 
 
 def longer(log: Log, times: int) -> Log:
@@ -44,18 +46,20 @@ def longer(log: Log, times: int) -> Log:
     )
 
 
-def test_truth_itself_has_no_error_and_is_not_worse(log: Log) -> None:
+def test_truth_itself_has_no_error_and_is_not_worse(streams, log: Log) -> None:
     assert log.truth is not None
     off = dataclasses.replace(log, raw=log.raw + RNG.normal(size=log.raw.shape) / log.nominal.scale)
-    row = score_run(stream_of(off), played_as(off, log.truth.force))
+    row = streams.score_run(stream_of(streams, off), played_as(streams, off, log.truth.force))
     assert row["cop"] == row["vgrf"] == row["cell"] == 0.0
-    assert not row["worse"]
-    worse = score_run(stream_of(off), played_as(off, 3.0 * off.nominal.force(off.raw) - 20.0))
-    assert worse["worse"]
+    assert not row["worse_cop"]
+    worse = streams.score_run(
+        stream_of(streams, off), played_as(streams, off, 3.0 * off.nominal.force(off.raw) - 20.0)
+    )
+    assert worse["worse_cop"]
     assert worse["worse_vgrf"]
 
 
-def test_true_map_undoes_gains_and_offsets(log: Log) -> None:
+def test_true_map_undoes_gains_and_offsets(streams, log: Log) -> None:
     assert log.truth is not None
     gain, zero = RNG.uniform(0.8, 1.2, 8), RNG.normal(size=8)
     scale, offset = log.nominal.scale / gain, log.nominal.offset / gain - zero / gain
@@ -63,10 +67,10 @@ def test_true_map_undoes_gains_and_offsets(log: Log) -> None:
     truth = dataclasses.replace(
         log.truth, scale=np.tile(scale, (len(log), 1)), offset=np.tile(offset, (len(log), 1))
     )
-    stream = stream_of(dataclasses.replace(log, raw=raw, truth=truth))
-    (floor,), (start,) = play([stream], "true-map"), play([stream], "none")
+    stream = stream_of(streams, dataclasses.replace(log, raw=raw, truth=truth))
+    floor, start = streams.play(stream, "true-map"), streams.play(stream, "none")
     np.testing.assert_allclose(floor.force, truth.force, atol=1e-9)
-    row, raw_row = score_run(stream, floor), score_run(stream, start)
+    row, raw_row = streams.score_run(stream, floor), streams.score_run(stream, start)
     assert row["scale"] < 1e-12
     assert row["offset"] < 1e-9
     # By the starting map a channel without load shows its zero, and one newton shows as its gain.
@@ -84,89 +88,43 @@ def test_running_rmse_against_a_loop() -> None:
         assert found[k] == pytest.approx(np.sqrt(np.nanmean(piece**2)), rel=1e-9)
 
 
-def test_convergence_is_when_the_error_came_to_stay(log: Log) -> None:
-    walk = longer(log, 20)
-    assert walk.truth is not None
-    # All cells of both feet read 4 N too much up to 6 s and 0.1 N after: both feet are pulled to the middle.
-    force = walk.truth.force + np.where(walk.time < 6.0, 4.0, 0.1)[:, None] * np.array([1, 0] * 4)
-    row = score_run(stream_of(walk, judged=walk.time >= 9.0), played_as(walk, force))
-    # Two seconds after the change the last large error has left the running one.
-    assert row["converged"] == pytest.approx(8.0, abs=0.05)
-
-
-def test_faults_are_timed_and_told_apart(log: Log) -> None:
+def test_faults_are_timed_and_told_apart(streams, log: Log) -> None:
     walk = longer(log, 6)
     assert walk.truth is not None
     fault = Fault("dead", channel=3, start=1.0)
-    stream = stream_of(walk, faults=(fault,))
+    stream = stream_of(streams, walk, faults=(fault,))
     flags = np.zeros(walk.raw.shape, dtype=np.int64)
     flags[40:44, 6] = int(Flag.SPIKE)
     flags[walk.time >= 1.5, 3] = int(Flag.DEAD)
-    row = score_run(stream, played_as(walk, walk.truth.force, flags))
+    row = streams.score_run(stream, played_as(streams, walk, walk.truth.force, flags))
     assert row["found"] == pytest.approx(0.5)
     assert (row["isolated"], row["named"], row["alarms"]) == (1.0, 1.0, 1.0)
     assert row["hours"] == pytest.approx(80 / 80 / 3600, rel=0.02)
     flags[walk.time >= 2.0, 5] = int(Flag.LOST)
-    assert score_run(stream, played_as(walk, walk.truth.force, flags))["isolated"] == 0.0
-    unseen = score_run(stream, played_as(walk, walk.truth.force))
+    assert streams.score_run(stream, played_as(streams, walk, walk.truth.force, flags))["isolated"] == 0.0
+    unseen = streams.score_run(stream, played_as(streams, walk, walk.truth.force))
     assert unseen["found"] == float("inf")
     assert unseen["named"] == 0.0
 
 
-def test_nees_of_errors_that_are_as_large_as_claimed_is_one() -> None:
+def test_nees_of_errors_that_are_as_large_as_claimed_is_one(streams) -> None:
     root = RNG.normal(size=(6, 6))
     covariance = root @ root.T + 0.1 * np.eye(6)
     error = RNG.multivariate_normal(np.zeros(6), covariance, size=4000)
-    found = np.array([_normalise(one, covariance) for one in error])
+    found = np.array([streams.normalise(one, covariance) for one in error])
     assert found.mean() == pytest.approx(1.0, abs=0.03)
     direct = np.array([e @ np.linalg.solve(covariance, e) / 6 for e in error[:50]])
     np.testing.assert_allclose(found[:50], direct, rtol=1e-8)
 
 
 @pytest.mark.parametrize("broken", [np.diag([1.0, -1.0]), np.full((2, 2), np.nan), np.zeros((2, 2))])
-def test_a_covariance_that_is_none_is_infinitely_wrong(broken: np.ndarray) -> None:
-    assert _normalise(np.ones(2), broken) == np.inf
+def test_a_covariance_that_is_none_is_infinitely_wrong(streams, broken: np.ndarray) -> None:
+    assert streams.normalise(np.ones(2), broken) == np.inf
 
 
 def test_readings_that_do_not_arrive_are_held() -> None:
     readings = np.array([[1.0, 2.0], [np.nan, 3.0], [np.nan, np.nan]])
     np.testing.assert_array_equal(hold_last(readings), [[1.0, 2.0], [1.0, 3.0], [1.0, 3.0]])
-
-
-def test_a_fall_is_cut_off(log: Log) -> None:
-    walk = longer(log, 4)
-    cut = cut_fall(walk)
-    assert cut.time[-1] <= walk.time[-1] - FALLING
-    assert len(cut.raw) == len(cut.time) == len(cut.reference.com)
-    assert cut.truth is not None
-    assert len(cut.truth.force) == len(cut.time)
-
-
-def test_gait_cycles_are_those_of_the_forces(log: Log) -> None:
-    """A foot that bears 20 N for 0.9 of 1.5 s, with a CoP that moves by 3 mm from one cycle to the next.
-
-    Cells whose offsets hold the foot down never swing.
-    """
-    walk = longer(log, 3 + 1200 // len(log))
-    time, truth = walk.time, walk.truth
-    assert truth is not None
-    for foot, where in zip(walk.layout.feet, walk.layout.slices, strict=True):
-        assert foot.position_cell_sole is not None
-        x = foot.position_cell_sole[:, 0] - foot.position_cell_sole[:, 0].mean()
-        loaded = (time % 1.5 < 0.9)[:, None] * (time > 0.2)[:, None]
-        shift = 3e-3 * (np.floor(time / 1.5) % 2 - 0.5)[:, None]
-        truth.force[:, where] = loaded * (5.0 + 20.0 * shift * x / (x @ x))
-    stream = stream_of(walk, judged=time > 0.25)
-    left, right = cycle_rows(stream, truth.force)
-    stuck, _ = cycle_rows(stream, truth.force + 2.0)
-    assert (left["foot"], right["foot"]) == ("left", "right")
-    assert left["duty"] == pytest.approx(0.6, abs=0.02)
-    assert left["period"] == pytest.approx(1.5, abs=walk.dt)
-    assert left["peak"] == pytest.approx(20.0 / (walk.mass * GRAVITY), rel=1e-9)
-    shifts = np.resize([-1.5e-3, 1.5e-3], left["cycles"])
-    assert left["repeat"] == pytest.approx(shifts.std(ddof=1), rel=0.02)
-    assert stuck["duty"] == 1.0
-    assert np.isnan(stuck["period"])
 
 
 CORNERS = np.array([(0.1, 0.05), (0.1, -0.05), (-0.1, 0.05), (-0.1, -0.05)])

@@ -1,17 +1,22 @@
-"""Robots that others made: the worth of calibration on each, standing, moving and falling.
+"""Calibration methods on robots made by others: standing, moving, falling.
 
-Errors are root mean squares over a run from the first second on, its falls included: of the centre of
-pressure of each foot in its sole's frame, where the foot truly bears a tenth of the robot's weight, and of
-the vertical force of both feet. Where an estimate has no centre of pressure the last one is held.
+    python benchmarks/robots.py --seeds 3 --jobs 2
+    python benchmarks/robots.py --quick
+    python docs/study_tables.py out/results
+
+Robots stand, exercise, shake and fall on emulated feet: load cells of the robot's size whose scales are off
+by 12 %, or six-axis sensors in the ankles. All methods get the same readings and the same state estimates of
+the robot. Errors are root mean squares over a run from the first second on, falls included: of the centre of
+pressure of each foot in its sole's frame, while the foot bears a tenth of the robot's weight, and of the
+vertical force of both feet. Where an estimate has no centre of pressure the last one is held. Most robots
+need ``pip install surefoot[robots]``; without it, only those of Gymnasium are run.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import product
-from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
+import bench
 import gymnasium as gym
 import mujoco
 import numpy as np
@@ -21,45 +26,23 @@ from surefoot.calibration import GRAVITY
 from surefoot.envs import InstrumentedEnv, load_robot_spec
 from surefoot.envs.exercise.held import HeldRobot
 from surefoot.experiments.study.figures import look_of
-from surefoot.experiments.study.page import (
-    Report,
-    Section,
-    Words,
-    failure_section,
-    publish,
-    repeat_section,
-    save_frames,
-)
-from surefoot.experiments.study.runner import runner
 from surefoot.experiments.study.statistics import mean_interval
-from surefoot.experiments.study.store import Case, Store
-from surefoot.experiments.study.tables import (
-    Cell,
-    Claim,
-    Frame,
-    Table,
-    at_most,
-    claim_table,
-    decimal,
-    plural,
-    table_of,
-    with_interval,
-)
+from surefoot.experiments.study.tables import Cell, Frame, Table, Verdict, decimal, table_of, with_interval
 from surefoot.experiments.walks.score import hold_last, rms
 from surefoot.wrappers import FootSensors, SelfCalibration
 
 METHODS = ("none", "tare", "window", "moment")
-SENSORS: Mapping[str, Any] = MappingProxyType({"load cells": None, "ankle sensors": "icub-force-torque"})
-BEGIN = 1.0  # s from which on errors count
-BEARS = 0.1  # share of the weight from which on a foot's centre of pressure counts
+SENSORS: Mapping[str, Any] = {"load cells": None, "ankle sensors": "icub-force-torque"}
+BEGIN = 1.0  # s from which errors count
+BEARS = 0.1  # share of the weight from which a foot's centre of pressure counts
 _STREAM = 0x20B07  # of actions
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A robot and its motion: random actions of up to an amplitude, in the units of its actions."""
+    """A robot and its motion: random actions up to an amplitude, in the units of its actions."""
 
-    robot: str  # of Gymnasium, or of the package of robots
+    robot: str  # an id of Gymnasium, or a name in the package of robots
     name: str
     amplitude: float = 0.0
 
@@ -69,7 +52,7 @@ class Motion:
         return not self.robot.endswith("-v5")
 
     def env(self) -> gym.Env[Any, Any]:
-        """Make it, with soles under feet without area."""
+        """Make the environment, with soles under feet that have no area."""
         if not self.packaged:
             seen = {"include_cfrc_ext_in_observation": False} if "Humanoid" in self.robot else {}
             env = gym.make(self.robot, **seen)
@@ -94,11 +77,11 @@ MOTIONS = (
     Motion("Walker2d-v5", "falling, small actions", 0.3),
     Motion("HumanoidStandup-v5", "lying, small actions", 0.12),
 )
-"""Robots that are not ours; servos hold those of the package, of which three can exercise."""
+"""Servos hold the robots of the package, three of which can exercise."""
 
 
-def run_robot(motion: Motion, sensors: str, seed: int, duration: float) -> dict[str, list[dict[str, Any]]]:
-    """Run for a duration in s: ``scores`` has a row a method: ``cop`` in m, ``vgrf`` in N, ``falls``.
+def score(motion: Motion, sensors: str, seed: int, duration: float) -> bench.Rows:
+    """Run for a duration in s: a row per method with ``cop`` in m, ``vgrf`` in N and ``falls``.
 
     The robot does the same whatever its feet are calibrated by: each method has a run of its own.
     """
@@ -144,51 +127,9 @@ def _stand_up(env: gym.Env[Any, Any]) -> mujoco.MjSpec:
     return spec
 
 
-_say = Words("walks", "robots")
-_KEYS = ["robot", "name"]
-
-
-def compare_robots(
-    out: Path, seeds: int = 5, jobs: int = 2, duration: float = 20.0, motions: Sequence[Motion] = MOTIONS
-) -> Report:
-    """Run so many seeds of each motion and kind of sensors for a duration in s, and write the page.
-
-    Without the package of robots it has the others, and says so.
-    """
-    without = ""
-    try:
-        load_robot_spec("g1")
-    except ModuleNotFoundError as error:
-        motions, without = [motion for motion in motions if not motion.packaged], str(error)
-    cases = [
-        Case(f"{m.robot}, {m.name}, {on}, seed {seed}", run_robot, (m, on, seed, duration))
-        for m, on, seed in product(motions, SENSORS, range(seeds))
-    ]
-    seconds: dict[str, float] = {}
-    store = Store(out / "results")
-    with store.open_for(), runner(jobs, seconds) as run:
-        run.run("robots", cases, store)
-    scores, failures = store.rows("scores", cases), store.failures(cases)
-    tables: tuple[Table, ...] = ()
-    if len(scores):
-        claims = claim_table(claims_of(scores), note=_say("claim"))
-        tables = (*(robot_table(scores, sensors) for sensors in SENSORS), claims)
-    left_out = (f"Robots of the package are left out: {without}",) if without else ()
-    amount = f"{plural(seeds, 'seed')} of each, runs of {duration:g} s."
-    command = f"surefoot compare robots --seeds {seeds} --out {out}"
-    sections = (
-        Section("robots", "Robots, motions and sensors", findings=left_out, tables=tables),
-        *failure_section(failures),
-        repeat_section(_say("repeat"), (command,), seconds),
-    )
-    save_frames(out / "tables", {"scores": scores}, (".csv",))
-    title = "Calibrators on robots that others made"
-    return publish(out, title, (_say("introduction"), amount, *left_out), sections)
-
-
-def claims_of(scores: Frame) -> list[Claim]:
-    """Return for each method the claim that its errors exceed those of raw readings nowhere."""
-    runs, claims = scores.set_index([*_KEYS, "sensors", "seed", "method"]), []
+def harm_table(scores: Frame) -> Table:
+    """Return in how many cases the errors of each method exceed those of raw readings."""
+    runs, rows = scores.set_index(["robot", "name", "sensors", "seed", "method"]), []
     for column, what in (("cop", "CoP"), ("vgrf", "vGRF")):
         errors = runs[column].unstack()
         for method in METHODS[1:]:
@@ -197,12 +138,16 @@ def claims_of(scores: Frame) -> list[Claim]:
             worse = sum(one.apart and one.mean > 0.0 for one in found)
             said = f"{worse} of {len(found)} ({sum(one.mean > 0.0 for one in found)} in the mean)"
             name = f"{look_of(method).label}: {what} worse than raw by more than the interval"
-            claims.append(at_most(name, worse, 0.0, said))
-    return claims
+            rows.append((name, "≤ 0", said, Verdict.of(worse == 0)))
+    note = (
+        "Differences from raw readings are taken seed by seed. One counts if its mean is above zero by more "
+        "than the half width of its 95 % interval."
+    )
+    return Table("targets", "Harm", ("what", "target", "measured", "reached"), tuple(rows), note)
 
 
 def robot_table(scores: Frame, sensors: str) -> Table:
-    """Return the table of one kind of sensors, named after it, a row a robot and motion."""
+    """Return the errors with one kind of sensors, after which the table is named."""
 
     def error(column: str, method: str, factor: float) -> Cell:
         return lambda runs: with_interval(runs[runs["method"] == method][column], factor)
@@ -214,5 +159,36 @@ def robot_table(scores: Frame, sensors: str) -> Table:
         **{f"CoP (mm): {look_of(method).label}": error("cop", method, 1e3) for method in METHODS},
         **{f"vGRF (N): {look_of(m).label}": error("vgrf", m, 1.0) for m in ("none", "moment")},
     }
-    parts = [part for _, part in scores[scores["sensors"] == sensors].groupby(_KEYS, sort=False)]
+    own = scores[scores["sensors"] == sensors]
+    parts = [part for _, part in own.groupby(["robot", "name"], sort=False)]
     return table_of(sensors.replace(" ", "_"), f"Feet with {sensors}", columns, parts)
+
+
+def runnable(motions: Sequence[Motion]) -> list[Motion]:
+    """Return the motions whose robots are installed."""
+    try:
+        load_robot_spec("g1")
+    except ModuleNotFoundError as error:
+        print(f"The robots of the package are left out: {error}")
+        return [motion for motion in motions if not motion.packaged]
+    return list(motions)
+
+
+def main() -> None:
+    """Run the robots, and write the tables."""
+    given = bench.options(__doc__, "robots", 5).parse_args()
+    seeds, duration = (min(given.seeds, 2), 3.0) if given.quick else (given.seeds, 20.0)
+    arguments = [
+        (motion, sensors, seed, duration)
+        for motion in runnable(MOTIONS)
+        for sensors in SENSORS
+        for seed in range(seeds)
+    ]
+    scores = bench.run(given.out, "robots", score, arguments, jobs=given.jobs)["scores"]
+    tables = [*(robot_table(scores, sensors) for sensors in SENSORS), harm_table(scores)]
+    text = f"{seeds} seeds of each robot, motion and kind of sensors, runs of {duration:g} s."
+    bench.publish(given.out, "Calibrators on robots made by others", text, tables)
+
+
+if __name__ == "__main__":
+    bench.start(__file__)
