@@ -236,27 +236,14 @@ def test_episodes_draw_their_friction_and_their_start():
 
 test_bad_options_are_refused = refusals(
     lambda options: NaoStandEnv(**options),
-    ({"cell_stiffness": [1.0] * 7}, "'cell_stiffness' must hold eight positive"),
     ({"cell_stiffness": [1.0] * 7 + [-1.0]}, "'cell_stiffness' must hold eight positive"),
-    ({"cell_stiffness": [1.0] * 7 + [np.nan]}, "'cell_stiffness' must hold eight positive"),
     ({"camera": "roof"}, "no camera 'roof'; choose one of .*'track'"),
     ({"render_mode": "ascii"}, "no render mode 'ascii'; choose one of .*'rgb_array'"),
-    ({"width": 0}, "'width' and 'height' must be positive"),
     ({"height": 5000}, "at most 1920 x 1080"),
     ({"friction": (0.9, 0.5)}, "'friction' must be"),
-    ({"friction": (0.9,)}, "'friction' must be"),
-    ({"friction": 0.9}, r"'friction' must be .*got 0\.9"),
-    ({"friction": ("rough", 0.9)}, "'friction' must be"),
-    ({"push_impulse": (-1.0, 1.0)}, "'push_impulse' must be"),
-    ({"push_interval": 0.0}, "'push_interval' must be finite and positive"),
     ({"joint_noise": -0.1}, "'joint_noise' must be finite and not negative"),
-    ({"velocity_noise": np.inf}, "'velocity_noise' must be finite"),
     ({"duration": 0.0}, "'duration' must be finite and positive"),
-    ({"duration": "long"}, "'duration' must be a number, got 'long' of type str"),
-    ({"action_scale": -1.0}, "'action_scale' must be finite and positive"),
     ({"sway": (0.1, 0.0)}, "'sway' must be"),
-    ({"sway": (0.01,)}, "'sway' must be"),
-    ({"sway_period": -1.0}, "'sway_period' must be finite and positive"),
 )
 
 

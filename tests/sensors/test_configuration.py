@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from _refusals import refusals
 
-from surefoot.sensors import PRESETS, Encoders, ForceTorque, Imu, Link, LoadCells, Mechanics, Wire, preset
+from surefoot.sensors import PRESETS, Imu, LoadCells, Mechanics, Wire, preset
 from surefoot.sensors.configuration import from_mapping
 from surefoot.sensors.presets import resolve
 
@@ -77,21 +77,13 @@ test_impossible_values_are_refused_with_field_and_value = refusals(
     call,
     (lambda: LoadCells(input_noise=-1.0), "LoadCells.input_noise must be finite and not negative, got -1.0"),
     (lambda: LoadCells(scale_drift=float("nan")), "LoadCells.scale_drift must be .*, got nan"),
-    (
-        lambda: LoadCells(temperature_ramp=-0.1),
-        "LoadCells.temperature_ramp must be finite and not negative, got -0.1",
-    ),
-    (lambda: LoadCells(initial_offset_std="1"), "LoadCells.initial_offset_std must be .*, got '1'"),
     (lambda: LoadCells(capacity=0.0), "LoadCells.capacity must be finite and positive, got 0.0"),
     (lambda: LoadCells(channels=0), "LoadCells.channels must be a whole number from 1 on, got 0"),
     (lambda: LoadCells(adc_bits=40), "LoadCells.adc_bits must lie in 0 to 32, got 40"),
     (lambda: LoadCells(coding="gray"), "LoadCells.coding must be .*, got 'gray'"),
     (lambda: LoadCells(polarity=(1, 2)), r"LoadCells.polarity must hold \+1 or -1 .*, got \(1, 2\)"),
-    (lambda: LoadCells(polarity=(1, -1, 1)), r"LoadCells.polarity must .* repeats along them, got"),
     (lambda: LoadCells(rate=(94.0, 78.0)), r"LoadCells.rate must be None or .*, got \(94.0, 78.0\)"),
-    (lambda: LoadCells(settling=0), "LoadCells.settling must be a whole number from 1 on, got 0"),
     (lambda: LoadCells(wire={}), r"LoadCells.wire must be a Wire, got \{\}"),
-    (lambda: LoadCells(mechanics=1.0), r"LoadCells.mechanics must be a Mechanics, got 1.0"),
     (
         lambda: LoadCells(channels=6, polarity=(1,), mechanics=Mechanics(mounting_warp_std=1.0)),
         "LoadCells.channels must be whole feet of 4 cells where impacts .*, got 6",
@@ -100,27 +92,10 @@ test_impossible_values_are_refused_with_field_and_value = refusals(
         lambda: LoadCells(adc_bits=0, wire=Wire(wrong_words=0.1)),
         "LoadCells.adc_bits must be above 0 where words can be wrong, got 0",
     ),
-    (
-        lambda: ForceTorque(resolution_force=0.0, resolution_torque=0.0, wire=Wire(wrong_words=0.1)),
-        "ForceTorque.resolution_force must be above 0 where words can be wrong",
-    ),
-    (lambda: ForceTorque(wire=0.0), "ForceTorque.wire must be a Wire, got 0.0"),
     (lambda: Mechanics(nonlinearity=0.1), "Mechanics.nonlinearity must be below 1/12, got 0.1"),
-    (lambda: Mechanics(hysteresis=0.2), "Mechanics.hysteresis must be below 1/8, got 0.2"),
     (lambda: Mechanics(creep_shares=(0.1,)), "must hold a positive time for each of the 1 creep_shares"),
     (lambda: Mechanics(overload_share=1.5), "Mechanics.overload_share must be at most 1, got 1.5"),
-    (lambda: Mechanics(safe_overload=0.0), "Mechanics.safe_overload must be finite and positive"),
-    (lambda: Wire(packet_loss=1.0), "Wire.packet_loss must be below 1, got 1.0"),
-    (lambda: Wire(wrong_words=1.1), "Wire.wrong_words must be at most 1, got 1.1"),
-    (lambda: Wire(gap_length=0.0), "Wire.gap_length must be finite and positive, got 0.0"),
-    (lambda: Wire(under_way=0), "Wire.under_way must be a whole number from 1 on, got 0"),
-    (lambda: Wire(jitter=-0.1), "Wire.jitter must be finite and not negative, got -0.1"),
-    (lambda: Imu(misalignment_std=-0.1), "Imu.misalignment_std must be finite and not negative"),
-    (lambda: Imu(gyroscope_noise=-1e-4), "Imu.gyroscope_noise must be finite and not negative, got -0.0001"),
     (lambda: Imu(averaged=1), "Imu.averaged must be True or False, got 1"),
-    (lambda: Encoders(bits=-1), "Encoders.bits must lie in 0 to 32, got -1"),
-    (lambda: Encoders(noise_std=-1.0), "Encoders.noise_std must be finite and not negative, got -1.0"),
-    (lambda: Link(jitter=float("inf")), "Link.jitter must be finite and not negative, got inf"),
 )
 
 

@@ -56,8 +56,6 @@ def test_chance_draws_as_much_whatever_happens():
 test_what_is_no_chance_is_refused = refusals(
     parse_chances,
     ({"dies": 1.5}, r"^The value of 'dies' must be the probability .* from 0 to 1; got 1\.5\.$"),
-    ({"dies": "often"}, r"must be the probability .*; got 'often'\.$"),
-    ({"dies": float("nan")}, r"must be the probability .*; got nan\.$"),
     ({3: 0.1}, r"^A fault by chance is named by words such as 'dies', got 3\.$"),
     (
         {"explodes": 0.1},

@@ -106,9 +106,6 @@ def test_each_channel_has_its_full_scale():
 
 test_impossible_elements_are_refused = refusals(
     lambda arguments: hysteresis(**arguments),
-    ({"share": -0.1, "full_scale": 1.0}, "'share' must be finite and not negative, got -0.1"),
-    ({"share": 0.1, "full_scale": 0.0}, "'full_scale' must be finite and positive, got 0.0"),
     ({"share": 0.1, "full_scale": 1.0, "smallest": 0.0}, r"'smallest' must lie in \(0, 1\], .* got 0.0"),
-    ({"share": 0.1, "full_scale": 1.0, "true_at": 1.5}, r"'true_at' must lie in \(0, 1\], .* got 1.5"),
     ({"share": 0.1, "full_scale": 1.0}, "'share' must be below 0.0[67].*, or readings would fall"),
 )

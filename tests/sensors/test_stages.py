@@ -76,9 +76,5 @@ def test_stages_act_in_their_order() -> None:
 test_impossible_stages_are_refused = refusals(
     call,
     (lambda: drift(-1.0), "'initial_std' must be finite and not negative, got -1.0"),
-    (lambda: drift(0.0, float("nan")), "'density' must be finite and not negative, got nan"),
-    (lambda: scale_drift(density=-0.1), "'density' must be finite and not negative, got -0.1"),
-    (lambda: white_noise(float("inf")), "'std' must be finite and not negative, got inf"),
-    (lambda: quantize(-1.0), "'resolution' must be finite and not negative, got -1.0"),
     (lambda: saturate(1.0, 1.0), r"'low' must be below 'high', got \[1.0, 1.0\]"),
 )

@@ -238,13 +238,8 @@ test_impossible_values_are_refused = refusals(
     lambda fields: StrainGauges(**fields),
     ({"matrix": ((1.0, 2.0),)}, "StrainGauges.matrix must have six rows of at least six numbers"),
     ({"matrix": (FTSENS_SN039[0],) * 6}, "StrainGauges.matrix must be finite and have rank six"),
-    ({"matrix": np.full((6, 6), np.nan)}, "StrainGauges.matrix must be finite and have rank six"),
-    ({"matrix": ((1.0, 2.0), (1.0,))}, "StrainGauges.matrix must have six rows of at least six numbers"),
-    ({"noise_force": -0.1}, "StrainGauges.noise_force must be finite and not negative, got -0.1"),
-    ({"full_scale_torque": 0.0}, "StrainGauges.full_scale_torque must be finite and positive, got 0.0"),
     ({"scale_error_std": 0.6}, "StrainGauges.scale_error_std must be at most 0.5, got 0.6"),
     ({"adc_bits": 1}, "StrainGauges.adc_bits must be 0 or lie in 2 to 32, got 1"),
-    ({"hysteresis": 0.2}, "StrainGauges.hysteresis must be at most 0.08, got 0.2"),
     (
         {"hysteresis_true_torque": 36.0},
         "StrainGauges.hysteresis_true_torque must be at most the full scale, 35.0, got 36.0",
@@ -253,7 +248,6 @@ test_impossible_values_are_refused = refusals(
         {"nonlinearity": 0.1, "cross_nonlinearity": 0.02},
         r"cross_nonlinearity must keep 5.2 nonlinearity \+ 30 cross_nonlinearity below 1.*got 0.02",
     ),
-    ({"creep_shares": (float("inf"),)}, r"StrainGauges.creep_shares must be finite, got \(inf,\)"),
     ({"creep_shares": (0.1,)}, "StrainGauges.creep_time_constants must hold a positive time for each of"),
 )
 

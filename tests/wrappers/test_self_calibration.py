@@ -209,23 +209,14 @@ def test_a_plan_is_sure_only_well_inside_a_phase(lag: int) -> None:
             "'initial' must be 'nominal', 'calibrated' or Parameters (scale, offset), also as a mapping, "
             "got None.",
         ),
-        ((1.0, 0.0), "Parameters (scale, offset), also as a mapping, got (1.0, 0.0)."),
         (
             {"scale": [1.0] * 8},
             "'initial' as a mapping must have exactly the keys ['scale', 'offset'], got ['scale'].",
         ),
         (
-            Parameters(np.ones(2), np.zeros(8)),
-            "'initial.scale' must hold one finite number for each of the 8 channels, got array([1., 1.]).",
-        ),
-        (
             {"scale": [1.0] * 8, "offset": [float("nan")] * 8},
             "'initial.offset' must hold one finite number for each of the 8 channels, "
             "got [nan, nan, nan, nan, nan, nan, nan, nan].",
-        ),
-        (
-            {"scale": "heavy", "offset": [0.0] * 8},
-            "'initial.scale' must hold one finite number for each of the 8 channels, got 'heavy'.",
         ),
         ({"scale": [0.0] * 8, "offset": [0.0] * 8}, "'initial.scale' must not be zero"),
     ],
