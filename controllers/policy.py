@@ -1,11 +1,11 @@
 r"""A trained policy in NumPy: a small network behind an integrator, from a file that holds numbers only.
 
-A Stable-Baselines3 zip is opened by unpickling, which runs its code: a policy file from a stranger
-would be a program from a stranger. The files of this module are NumPy archives of plain arrays, read with
-``allow_pickle=False``; :func:`surefoot.experiments.policy.view.export_zip` writes them.
+Opening a Stable-Baselines3 zip unpickles it, which runs code from the file. The files of this module are
+NumPy archives of plain arrays, read with ``allow_pickle=False``;
+:func:`surefoot.experiments.policy.view.export_zip` writes them.
 
 The network is the mean of a Gaussian policy. Scaling and selection of the inputs are folded into its first
-layer, so that it reads observations as they come:
+layer, so that it takes unscaled observations:
 
 .. math:: y = W_L \phi(\dots \phi(W_1 z + b_1) \dots) + b_L,
     \qquad z = (\text{state}, \text{cop}, \text{cop\_valid})
@@ -26,8 +26,8 @@ from surefoot.controllers.posture import PostureDrive
 from surefoot.controllers.stabiliser import check_parts
 from surefoot.files import AnyPath, atomic_path, names_in_archive, parse_json, read_arrays
 
-FORMAT = "surefoot-policy-1"  # what a policy file calls itself
-LARGEST_UNPACKED = 2**23  # size in bytes beyond which what a file unpacks to is no policy
+FORMAT = "surefoot-policy-1"  # identifier of the file format
+LARGEST_UNPACKED = 2**23  # largest unpacked size of a policy file in bytes
 
 _REQUIRED = (
     "format",
@@ -43,14 +43,14 @@ _REQUIRED = (
 
 
 class PolicyFileError(ValueError):
-    """A file is no policy, or one for another robot; the message says which, and names the cure."""
+    """A file is not a policy, or a policy for another robot."""
 
 
 class PolicyNetwork:
     """Turns observations of ``surefoot/NaoBalance-v0``, or of wrappers around it, into actions.
 
     Args:
-        parts: Parts of the observation that are looked at, in order, with their sizes.
+        parts: Parts of the observation that the network uses, in order, with their sizes.
         weights: Of the layers, shapes (n, S), ..., (A, n).
         biases: Of the layers.
         posture_matrix: Residuals of the motors per unit of posture, shape (M, A).
@@ -58,8 +58,8 @@ class PolicyNetwork:
         posture_memory: Time constant in s with which a posture returns.
         hold: Number of observations for which one output of the network is used.
         dt: Time from one observation to the next in s.
-        engage_after: For how long after a reset to do nothing, in s: during a quiet stand, say.
-        notes: How it was made: task, seed, versions.
+        engage_after: Time in s after a reset during which actions are zero, for example a quiet stand.
+        notes: How it was trained: task, seed, versions.
 
     Attributes:
         drive: The integrator between the network's outputs and the action.
@@ -103,13 +103,13 @@ class PolicyNetwork:
         return int(self.drive.matrix.shape[0])
 
     def reset(self) -> None:
-        """Start an episode: the posture goes back to the pattern's."""
+        """Start an episode with the posture of the pattern."""
         self.drive.reset()
         self._seen = 0
         self._held = np.zeros(self.drive.size)
 
     def speeds(self, observation: Mapping[str, Any]) -> NDArray[np.float64]:
-        """Return the speeds of the postures for one observation, in [-1, 1], (A,); ValueError for a lack."""
+        """Return the speeds of the postures in [-1, 1], shape (A,); ValueError if a part is missing."""
         signal = self._vector(observation)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             signal = np.tanh(weight @ signal + bias)
@@ -120,7 +120,7 @@ class PolicyNetwork:
         """Return the action for one observation: residuals on leg motors' targets within [-1, 1], shape (M,).
 
         Raises:
-            ValueError: If the observation lacks a part, or one has another size.
+            ValueError: If a part of the observation is missing or has another size.
         """
         age = self._seen - self._wait
         self._seen += 1
@@ -131,7 +131,7 @@ class PolicyNetwork:
         return self.drive(self._held)
 
     def fits(self, observation_space: Any, action_space: Any) -> None:
-        """Raise ValueError if an environment lacks a part or has one of another size, or other motors."""
+        """Raise ValueError if a part of the observation is missing or has another size, or motors differ."""
         shown = getattr(observation_space, "spaces", {})
         for part, size in self.parts.items():
             if part not in shown:
@@ -154,7 +154,7 @@ class PolicyNetwork:
 
     @classmethod
     def load(cls, path: AnyPath, *, engage_after: float = 0.0) -> "PolicyNetwork":
-        """Read a policy file; nothing in it is executed.
+        """Read a policy file without executing any code from it.
 
         Args:
             path: An ``.npz`` that :meth:`save` wrote.
@@ -162,7 +162,7 @@ class PolicyNetwork:
 
         Raises:
             FileNotFoundError: If there is no such file.
-            PolicyFileError: If it is no policy, is damaged, or a Stable-Baselines3 zip.
+            PolicyFileError: If it is not a policy, is damaged, or is a Stable-Baselines3 zip.
         """
         try:
             pickled = {"data", "policy.pth"} & set(names_in_archive(path))
@@ -227,10 +227,10 @@ class PolicyNetwork:
             raise PolicyFileError(f"'{path}': {error}") from error
 
     def save(self, path: AnyPath) -> None:
-        """Write the policy to an ``.npz`` of plain arrays in single precision, under the name as it is given.
+        """Write the policy to an ``.npz`` of plain arrays in single precision, without changing the name.
 
         Raises:
-            ValueError: If something else than a regular file bears the name.
+            ValueError: If the path exists and is not a regular file.
         """
         layers: dict[str, Any] = {}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):

@@ -1,9 +1,9 @@
-"""Many robots of a task at once, stepped by MuJoCo's own threads.
+"""Many robots of one task at once, stepped by MuJoCo's threads.
 
-A robot's draws at an episode start come from an environment of its own. From there on the task's functions
-are called for all robots at once, on a :class:`~surefoot.envs.biped.State` with these in front of each array,
-and :class:`mujoco.batch.Batch` takes the place of ``mj_step``. All robots' environments share one model and
-one data; fields of the model in which robots differ, and MuJoCo's states, are the batch's.
+Each robot has an environment that draws its episodes. Within an episode the task's functions are called for
+all robots at once, on a :class:`~surefoot.envs.biped.State` whose arrays have the robots as first axis, and
+:class:`mujoco.batch.Batch` replaces ``mj_step``. The environments share one model and one data. The batch
+holds MuJoCo's states, and the fields of the model in which robots differ.
 """
 
 import copy
@@ -29,43 +29,43 @@ from surefoot.envs.observation import Look, Observation
 from surefoot.envs.options import check_render_mode
 from surefoot.native import cores
 
-PHYSICS = mujoco.mjtState.mjSTATE_INTEGRATION  # all that MuJoCo's next step depends on
-RECORD = ("sensordata", "qvel")  # what is noted at each substep
+PHYSICS = mujoco.mjtState.mjSTATE_INTEGRATION  # the state that determines MuJoCo's next step
+RECORD = ("sensordata", "qvel")  # fields that are recorded at each substep
 
 
 class BatchVectorEnv(SyncVectorEnv):
-    """N robots of one task: like ``SyncVectorEnv`` of its environments, bit for bit, in less time.
+    """N robots of one task, with the results of a ``SyncVectorEnv`` of its environments, in less time.
 
     Seeds, spaces, resets and infos are those of Gymnasium's ``SyncVectorEnv`` in each of its autoreset modes.
-    Attributes of a robot's own environment can be asked for by ``get_attr``, its ``model`` and ``data`` as
-    copies; a value that is set there by ``set_attr`` counts from its next episode on.
+    ``get_attr`` returns attributes of the robots' environments, ``model`` and ``data`` as copies. A value set
+    by ``set_attr`` takes effect at the robot's next episode.
 
-    A robot whose simulation diverges stands still until its step is over, where a lone one would start again
+    A robot whose simulation diverges stands still until its step is over, whereas MuJoCo resets a single one
     at once.
 
     Args:
         task: A subclass of :class:`BipedEnv`.
         num_envs: Number of robots N.
-        threads: Number of threads that step MuJoCo; 0 for one a core.
-        autoreset_mode: When a robot whose episode is over is reset: in the next step, in the same one (with
-            ``"final_obs"`` and ``"final_info"`` in the infos), or never but by ``reset``.
+        threads: Number of threads that step MuJoCo; 0 for one per core.
+        autoreset_mode: When a robot whose episode is over is reset: in the next step, in the same step (with
+            ``"final_obs"`` and ``"final_info"`` in the infos), or only by ``reset``.
         **options: Of the task.
 
     Attributes:
-        state: Where all robots are in their episodes, with these in front of each array.
-        truth: The truth of their last step, likewise.
-        mean_truth: Means of it (:class:`~surefoot.envs.instrumentation.means.MeanTruth`).
-        ended: The last ``truth`` and ``command`` of those that were reset within the last step, by number.
+        state: State of all episodes, with the robots as first axis of each array.
+        truth: The truth of their last step, in the same form.
+        mean_truth: Its means (:class:`~surefoot.envs.instrumentation.means.MeanTruth`).
+        ended: The last ``truth`` and ``command`` of robots that were reset within the last step, by index.
 
     Raises:
         ValueError: If there is no robot, or an option is out of its range.
-        ImportError: If this MuJoCo has no ``mujoco.batch``, which came with 3.17.
+        ImportError: If this MuJoCo is older than 3.17 and has no ``mujoco.batch``.
     """
 
     envs: list[BipedEnv]  # type: ignore[assignment]
 
     _derives = frozenset(getattr(mujoco.MjModel, "_setconst_inputs", ()))
-    """Fields of a model of which MuJoCo derives others, named by the documentation of ``mujoco.batch``."""
+    """Fields of a model from which MuJoCo derives others, as listed by ``mujoco.batch``."""
 
     def __init__(
         self,
@@ -110,13 +110,16 @@ class BatchVectorEnv(SyncVectorEnv):
         self._plans: list[Any] = [None] * num_envs
         self._batch = Batch(model, num_envs, threads)
         self._varied = {name: self._batch.expand(name) for name in self._task.varied}
-        # A robot's pushes write into its own row of all robots' forces.
+        # Each robot's pushes write into its row of the forces of all robots.
         self._pushed = [SimpleNamespace(xfrc_applied=force) for force in self._batch.xfrc_applied]
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Reset all robots, or those of ``options["reset_mask"]``, seeded by one, plus places, or each."""
+        """Reset all robots, or those of ``options["reset_mask"]``.
+
+        A single seed is increased by one for each robot; a list holds one seed per robot.
+        """
         mask = (options or {}).get("reset_mask")
         _, infos = super().reset(seed=seed, options=options)
         self._begin(np.ones(self.num_envs, dtype=bool) if mask is None else mask)
@@ -131,7 +134,7 @@ class BatchVectorEnv(SyncVectorEnv):
 
     @property
     def command(self) -> Command:
-        """The robots' present commands to themselves, with these in front of each array."""
+        """The robots' present commands, with the robots as first axis of each array."""
         return self._present.command
 
     @property
@@ -142,7 +145,7 @@ class BatchVectorEnv(SyncVectorEnv):
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Observation, Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Step all robots; in the mode ``NEXT_STEP`` those whose episode is over are reset instead.
+        """Step all robots. In the mode ``NEXT_STEP`` robots whose episode is over are reset instead.
 
         Actions are residuals on the leg motors' targets as shares of ``action_scale``, shape (N, 11), or
         ValueError. ResetNeeded if the environment has not been reset, or, in the mode ``DISABLED``, robots
@@ -172,7 +175,7 @@ class BatchVectorEnv(SyncVectorEnv):
         return look.observation, rewards, terminated, truncated, infos
 
     def _starting(self) -> NDArray[np.bool_]:
-        """Return the robots that are reset in this step instead, shape (N,); errors as of :meth:`step`."""
+        """Return the robots that are reset in this step instead, shape (N,), errors as in :meth:`step`."""
         over, mode = self._autoreset_envs, self.autoreset_mode
         if self.state is None:
             raise ResetNeeded("Call reset() before the first step().")
@@ -184,7 +187,7 @@ class BatchVectorEnv(SyncVectorEnv):
         return over if mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
 
     def _act(self, residual: Floats, stepping: NDArray[np.bool_]) -> None:
-        """Let robots plan a control step, and simulate it."""
+        """Plan and simulate a control step."""
         task, state = self._task, self._present
         prepares = np.zeros(self.num_envs, dtype=bool)
         if task.prelude.duration:
@@ -206,7 +209,7 @@ class BatchVectorEnv(SyncVectorEnv):
             self._rows[who], self._qvel[who] = recorded["sensordata"], recorded["qvel"]
 
     def _end(self, done: NDArray[np.bool_], look: Look, terms: Mapping[str, Any]) -> dict[str, Any]:
-        """Reset robots in the step in which their episodes end; return the infos of their last moments."""
+        """Reset robots in the step in which their episodes end; return their last infos."""
         finals = np.full(self.num_envs, None)
         for i in np.flatnonzero(done).tolist():
             finals[i] = {key: part[i].copy() for key, part in look.observation.items()}
@@ -216,7 +219,7 @@ class BatchVectorEnv(SyncVectorEnv):
         return _add_masks({"final_obs": finals, "final_info": told}, done)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of the robots' own environments, or get an attribute, as they are now."""
+        """Call a method of the robots' environments, or get an attribute, in their present states."""
         results = []
         try:
             for i, env in enumerate(self.envs):
@@ -230,7 +233,7 @@ class BatchVectorEnv(SyncVectorEnv):
         return tuple(results)
 
     def render(self) -> tuple[Any, ...]:
-        """Draw each robot: a frame (height, width, 3) of each."""
+        """Return one frame (height, width, 3) per robot."""
         return self.call("render")
 
     def _restart(self, starting: NDArray[np.bool_]) -> None:
@@ -240,7 +243,7 @@ class BatchVectorEnv(SyncVectorEnv):
         self._begin(starting)
 
     def _begin(self, starting: NDArray[np.bool_]) -> None:
-        """Take over the robots whose own environments have just been reset."""
+        """Take over the robots whose environments have just been reset."""
         states = [env.state for env in self.envs]
         if self.state is None:
             self._check_fixed()
@@ -251,7 +254,7 @@ class BatchVectorEnv(SyncVectorEnv):
             self.state.tick[i], self.state.target[i], self.state.cop_held[i] = 0, states[i].target, 0.0
             self._set_commands(i, states[i].command)
             self._plans[i] = states[i].plan
-            # The present truth is that of all robots; what an own one says of its columns, the first says.
+            # The present truth is that of all robots; the first environment describes its columns.
             self.envs[i].truth = self._task.truth
         self.state = self.state._replace(plan=self._task.join(self._plans))
 
@@ -261,7 +264,7 @@ class BatchVectorEnv(SyncVectorEnv):
             rows[robots] = part
 
     def _disturb(self, stepping: NDArray[np.bool_], prepares: NDArray[np.bool_]) -> None:
-        """Push robots, and hand payloads to them, as their own environments have drawn it."""
+        """Apply the pushes and payloads that the robots' environments have drawn."""
         ticks, prepare = self._present.tick.tolist(), prepares.tolist()
         for i in np.flatnonzero(stepping).tolist():
             if self.envs[i].disturb(self._pushed[i], ticks[i], prepare[i]):
@@ -269,7 +272,7 @@ class BatchVectorEnv(SyncVectorEnv):
                 self._restore()
 
     def _look(self) -> Look:
-        """Take in the robots' last control step."""
+        """Evaluate the robots' last control step."""
         task, state = self._task, self._present
         look = task.observer.look(self._rows, self._qvel[:, -2], state.command, state.cop_held, self._threads)
         self.truth, self.mean_truth = task.read(self._rows), task.mean_truth(self._rows, self._threads)
@@ -279,7 +282,7 @@ class BatchVectorEnv(SyncVectorEnv):
         return look._replace(observation={key: look.observation[key] for key in keys})
 
     def _take(self, robot: int) -> None:
-        """Take over a robot from the model and the data in which it has just been reset."""
+        """Copy a robot from the model and the data in which it has just been reset."""
         model, data = self._task.model, self._task.data
         mujoco.mj_getState(model, data, self._batch.state[robot], PHYSICS)
         self._rows[robot], self._qvel[robot] = data.sensordata, data.qvel
@@ -297,11 +300,11 @@ class BatchVectorEnv(SyncVectorEnv):
             self._batch.set_const([robot])
 
     def _changes(self) -> list[str]:
-        """Return the fields of the model that are not as drawn."""
+        """Return the names of the fields of the model that differ from the initial ones."""
         return [name for name, own in self._drawn.items() if (getattr(self._task.model, name) != own).any()]
 
     def _restore(self) -> None:
-        """Make the model that robots share as it was drawn."""
+        """Restore the shared model to its initial values."""
         model, changed = self._task.model, self._changes()
         for name in changed:
             getattr(model, name)[...] = self._drawn[name]
@@ -309,7 +312,7 @@ class BatchVectorEnv(SyncVectorEnv):
             mujoco.mj_setConst(model, mujoco.MjData(model))
 
     def _check_fixed(self) -> None:
-        """Raise ValueError if the first reset has changed a field of which all robots have one."""
+        """Raise ValueError if the first reset has changed a field of the model that all robots share."""
         before, now = self._fixed, _bytes_of(self._task.model)
         changed = [name for name, field in now.items() if field != before[name]]
         if changed:
@@ -321,7 +324,7 @@ class BatchVectorEnv(SyncVectorEnv):
         self._fixed = {}
 
     def _bring(self, robot: int) -> None:
-        """Bring the model, the data and a robot's own environment to where the robot is now."""
+        """Set the model, the data and a robot's environment to the robot's present state."""
         if self.state is None:
             return
         env = self.envs[robot]
@@ -345,7 +348,7 @@ class BatchVectorEnv(SyncVectorEnv):
 
 
 def _bytes_of(model: mujoco.MjModel) -> dict[str, bytes]:
-    """Return the fields of a model, with what MuJoCo derives of them."""
+    """Return the fields of a model, derived ones included, as bytes."""
     own = copy.copy(model)
     mujoco.mj_setConst(own, mujoco.MjData(own))
     names = (name for name in dir(own) if not name.startswith("_"))
@@ -353,7 +356,7 @@ def _bytes_of(model: mujoco.MjModel) -> dict[str, bytes]:
 
 
 def _gather_infos(truth: Any, terms: Any, seen: NDArray[np.bool_], paid: NDArray[np.bool_]) -> dict[str, Any]:
-    """Gather infos as Gymnasium does: truth of robots ``seen``, terms of reward of those ``paid``, (N,)."""
+    """Gather infos as Gymnasium does: truth for the mask ``seen``, terms of the reward for ``paid``, (N,)."""
     told = _add_masks({"surefoot": _add_masks({"truth": _add_masks(_of(truth, seen), seen)}, seen)}, seen)
     return told | (_add_masks(_of(terms, paid), paid) if paid.any() else {})
 
@@ -368,7 +371,7 @@ def _of(arrays: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, N
 
 
 def _add_masks(parts: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
-    """Put beside each part which robots it is of, as Gymnasium's infos do."""
+    """Add a mask of the robots that have each part, as in Gymnasium's infos."""
     return parts | {f"_{name}": mask for name in parts}
 
 

@@ -1,4 +1,4 @@
-"""The robot calibrates its feet by a motion of its own before each episode."""
+"""Calibrate the feet by a calibration motion before each episode."""
 
 from typing import Any, SupportsFloat
 
@@ -9,26 +9,27 @@ from surefoot.calibration.excitation.certainty import ENOUGH, Certainty
 from surefoot.wrappers.self_calibration import SelfCalibration
 
 TRIES = 3
-"""How often an episode is started again after a fall, before that is an error."""
+"""Number of attempts to start an episode without a fall before an error is raised."""
 
 
 class CalibrateFirst(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Play the environment's prelude within :meth:`reset`, and stop it when the calibrator is certain.
 
-    The environment beneath has a ``prelude`` (``surefoot calibrate motion`` writes one). Who steps this
-    wrapper sees the episode alone, with a calibrator that has learnt from the prelude.
-    ``info["surefoot"]`` gains ``"certain"``, ``"cop_std"`` in m, averaged over a second, and at a reset
-    ``"prelude_time"``, how long it took in s.
+    The wrapped environment must have a ``prelude`` (``surefoot calibrate motion`` writes one). The caller
+    steps through the episode only, with a calibrator that has used the prelude. ``info["surefoot"]`` gains
+    ``"certain"``, ``"cop_std"`` in m, averaged over a second, and at a reset ``"prelude_time"``, the duration
+    of the prelude in s.
 
     Args:
         env: An environment with :class:`SelfCalibration` around it.
-        enough: Standard deviation of the centre of pressure in m at which the prelude stops; 0 plays all.
-        again: That above which :attr:`wanted` is true in m; 1.5 times ``enough`` when not given.
+        enough: Standard deviation of the centre of pressure in m at which the prelude stops; 0 never stops
+            it.
+        again: Standard deviation in m above which :attr:`wanted` is true; 1.5 times ``enough`` by default.
 
     Raises:
         TypeError: If there is no :class:`SelfCalibration` below.
-        ValueError: If the environment has no prelude, the calibrator gives no covariance, or a number has no
-            meaning.
+        ValueError: If the environment has no prelude, the calibrator has no covariance, or a number is out of
+            its range.
     """
 
     def __init__(self, env: gym.Env[Any, Any], *, enough: float = ENOUGH, again: float | None = None) -> None:
@@ -59,14 +60,14 @@ class CalibrateFirst(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructo
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode, and calibrate.
+        """Start an episode and calibrate.
 
         Args:
-            seed: Handed on.
-            options: Handed on.
+            seed: Passed on to the environment.
+            options: Passed on to the environment.
 
         Raises:
-            RuntimeError: If the robot falls in its prelude again and again.
+            RuntimeError: If the robot falls during its prelude in each of :data:`TRIES` attempts.
         """
         still = np.zeros(self.action_space.shape or (), dtype=np.float32)
         for _ in range(TRIES):
@@ -88,7 +89,7 @@ class CalibrateFirst(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructo
         )
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step, and say how certain the calibrator is."""
+        """Step, and report how certain the calibrator is."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._watch(info)
         return observation, reward, terminated, truncated, info

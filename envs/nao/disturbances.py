@@ -1,4 +1,4 @@
-"""Small pushes against the torso, and a mass that the robot picks up on its way."""
+"""Pushes against the torso, and a payload that is fixed to it during an episode."""
 
 from collections.abc import Sequence
 from math import cos, isfinite, pi, sin
@@ -16,8 +16,8 @@ PUSH_TIME = 0.1  # how long a push lasts in s
 class Pushes:
     """Horizontal pushes of constant force at the torso's centre of mass, at random times.
 
-    Impulses lie between the smallest and the largest in N s; the times between two are exponentially
-    distributed with the mean ``interval`` in s. For ``quiet_time`` s after a reset there are none.
+    ``impulse`` is the smallest and the largest impulse in N s. The intervals between pushes are exponentially
+    distributed with the mean ``interval`` in s. The first push comes at least ``quiet_time`` s after a reset.
     """
 
     def __init__(
@@ -32,12 +32,12 @@ class Pushes:
         self._left = 0
 
     def reset(self, rng: np.random.Generator) -> None:
-        """Draw when the first push comes."""
+        """Draw the time of the first push."""
         self._left = 0
         self._next = self._quiet_time / self._dt + rng.exponential(self._interval)
 
     def apply(self, data: Any, rng: np.random.Generator) -> None:
-        """Push, or not, during the control step that follows."""
+        """Set the force on the torso for the next control step."""
         if self._impulse[1] == 0.0:
             return
         self._next -= 1.0
@@ -54,12 +54,12 @@ class Pushes:
 
 
 POSITION_PAYLOAD_TORSO = (0.06, 0.0, 0.04)
-"""Where a payload's centre of mass lies in the torso's frame, in m: held before the chest."""
+"""Default position of a payload's centre of mass in the torso's frame in m, before the chest."""
 
 CHEST = ((POSITION_PAYLOAD_TORSO, POSITION_PAYLOAD_TORSO),)
-"""That place alone, as boxes to draw from."""
+"""The same position as boxes to draw from."""
 
-HALF_EDGE = 0.03  # half the edge in m of the cube whose inertia a payload has
+HALF_EDGE = 0.03  # half the edge in m of the cube whose inertia is used for a payload; chosen
 
 
 LINK = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
@@ -106,11 +106,11 @@ class PayloadRange(NamedTuple):
 
 
 class Payload:
-    """A cube fixed to the torso from a given time of the episode on: (mass in kg, time in s), or ``None``.
+    """A cube that is fixed to the torso at a given time of the episode: (mass in kg, time in s), or ``None``.
 
-    It changes the simulated robot alone: the pattern and every nominal model keep the robot as it was.
-    ``carried`` says whether the robot carries it now. ValueError if the payload is neither, or a number is
-    negative.
+    It changes the simulated robot only. The pattern and all nominal models remain those of the robot without
+    it. ``carried`` is true while the robot carries it. ValueError if the payload is not such a pair, or a
+    number is negative.
     """
 
     def __init__(self, model: mujoco.MjModel, payload: Sequence[float] | None, dt: float) -> None:
@@ -125,7 +125,7 @@ class Payload:
     def plan(self, mass: float, time: float, position: Sequence[float] = POSITION_PAYLOAD_TORSO) -> None:
         """Plan a mass in kg, 0 for none, at a time of the episode in s and a place in the torso's frame in m.
 
-        RuntimeError if the robot carries one now; after :meth:`reset` it carries none.
+        RuntimeError if the robot carries a payload; :meth:`reset` removes it.
         """
         if self.carried:
             raise RuntimeError(
@@ -136,13 +136,13 @@ class Payload:
         self._tick = round(time / self._dt)
 
     def reset(self) -> None:
-        """Put it down."""
+        """Remove the payload."""
         if self.carried:
             self._set(self._empty)
             self.carried = False
 
     def apply(self, tick: int) -> bool:
-        """Pick it up, or not, before the control step that leads to ``tick``; return whether it is new."""
+        """Add the payload if it is due before the step to ``tick``; return whether it was added."""
         picked = bool(self.mass) and not self.carried and tick > self._tick
         if picked:
             self._set(self._torso_with_payload())
@@ -172,7 +172,7 @@ class Payload:
     def _set(self, link: list[Any]) -> None:
         for name, part in zip(LINK, link, strict=True):
             getattr(self._model, name)[self._body] = part
-        # What MuJoCo derives from the masses; a data of its own keeps the robot's state as it is.
+        # Update the constants that MuJoCo derives from masses; another MjData keeps the state unchanged.
         mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
 
 

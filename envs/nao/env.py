@@ -36,16 +36,16 @@ from surefoot.envs.robots.nao import (
 CONTROL_STEP = 1.0 / 80.0  # duration of one environment step in s
 SUBSTEPS = 10  # simulation steps of 1.25 ms within one environment step
 
-FALLEN_HEIGHT = 0.22  # height of the torso's origin in m below which the robot has fallen (standing: 0.32)
+FALLEN_HEIGHT = 0.22  # height of the torso's origin in m below which the robot has fallen (0.32 in a stand)
 FALLEN_TILT = 0.8  # angle between the torso and the vertical in rad above which the robot has fallen
-SINK = 0.00016  # how far the ground gives way under the standing robot, in m, at the time constant of nao.xml
+SINK = 0.00016  # depth in m by which the standing robot sinks in, at the time constant of nao.xml; measured
 SINK_EXPONENT = 1.3
-"""Power of the time constant with which it gives way: 2 for a linear spring, less as MuJoCo's stiffens."""
+"""Exponent of that depth over the time constant: 2 for a linear spring, less as MuJoCo's contact stiffens."""
 
 GROUND_TIME_CONSTANT = 0.02  # time constant in s of the contacts in nao.xml: firm ground
 
 DEFAULT_STIFFNESS = (1.08, 0.87, 0.94, 1.15, 0.91, 1.12, 1.18, 0.83)
-"""Relative stiffnesses of the eight cells, uneven by up to 18 %: no two corners of a real shoe are alike."""
+"""Relative stiffnesses of the eight cells, uneven by up to 18 %, since the corners of a real shoe differ."""
 
 
 class NaoEnv(BipedEnv):
@@ -55,7 +55,7 @@ class NaoEnv(BipedEnv):
 
     ``Box(-1, 1, (11,), float32)``: a residual on the pattern's targets of the leg motors; zero leaves the
     open-loop pattern alone. Values beyond the bounds are clipped. Within a step the targets move linearly, as
-    the NAO's own motor boards interpolate; they keep the joint limits and move no faster than the joints can.
+    the NAO's motor boards interpolate. They respect the limits of joint angles and speeds.
 
     | Num | Action | Min | Max | Motor | Unit |
     |-----|--------|-----|-----|-------|------|
@@ -91,7 +91,7 @@ class NaoEnv(BipedEnv):
     | 59-60 | ``stance``: feet (left, right) planned to bear weight | 0 | 1 | 1 |
     | 61-62 | ``phase``: sine and cosine of the gait cycle's phase | -1 | 1 | 1 |
 
-    The feet, here the truth (wrappers put sensors in its place):
+    The feet (true values; wrappers replace them by sensors):
 
     | Key | Observation | Min | Max | Unit |
     |-----|-------------|-----|-----|------|
@@ -100,7 +100,7 @@ class NaoEnv(BipedEnv):
     | ``"cop"`` (2) | centre of pressure of both feet, level frame | -1 | 1 | m |
     | ``"cop_valid"`` (3) | whether the total, left and right one are defined | 0 | 1 | 1 |
 
-    A centre of pressure is defined above 5 N; below, the last one is held and flagged.
+    A centre of pressure is defined above 5 N. Below that, the last one is held and flagged.
 
     ## Reward
 
@@ -111,7 +111,7 @@ class NaoEnv(BipedEnv):
     ## Starting state and disturbances
 
     The pattern's first posture, upright on its footprints, with uniform noise on the joints and on the
-    velocity of the torso; the friction of the ground is drawn once an episode. Pushes come at exponentially
+    velocity of the torso. The friction of the ground is drawn once per episode. Pushes come at exponentially
     distributed intervals and last 0.1 s, horizontal and in any direction at the torso's centre of mass. A
     payload is fixed to the torso at a fixed or random time. With ``quiet_start`` nothing happens during the
     initial stand, in which residuals are not applied either, so that calibrators get a standing start.
@@ -248,7 +248,7 @@ class NaoEnv(BipedEnv):
 
     @property
     def drawing(self) -> RobotDrawing:
-        """The drawing by the robot's maker: nao.xml without an episode's changes."""
+        """The nominal description of the robot: nao.xml without the changes of an episode."""
         return draw_nao()
 
     def _soften_ground(self, time_constant: float) -> None:
@@ -257,7 +257,7 @@ class NaoEnv(BipedEnv):
         self._sink = SINK * (time_constant / GROUND_TIME_CONSTANT) ** SINK_EXPONENT
 
     def disturb(self, data: Any, tick: int, prepares: bool) -> bool:
-        """Push the robot, and hand it its payload, as drawn."""
+        """Push the robot, and add its payload when it is due."""
         if not prepares:
             self._pushes.apply(data, self.np_random)
         return self._payload.apply(tick)
@@ -296,6 +296,6 @@ class NaoEnv(BipedEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Put the robot onto its footprints; the task takes the options."""
+        """Put the robot onto its footprints. The options are those of the task."""
         self._payload.reset()
         return super().reset(seed=seed, options=options)

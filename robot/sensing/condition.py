@@ -1,4 +1,4 @@
-"""How bad the sensors of one robot are: as stated, or drawn for each robot from its own stream."""
+"""Severity and faults of one robot's sensors: as configured, or drawn from the robot's random stream."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -14,14 +14,14 @@ from surefoot.sensors.faults.channels import KINDS
 from surefoot.sensors.presets import resolve
 from surefoot.sensors.randomness import uniform
 
-Severity = float | tuple[float, float]  # a factor of all errors, or the lowest and the highest
+Severity = float | tuple[float, float]  # a factor of all errors, or its lowest and highest value
 
 Faults = Sequence[str | Fault | Mapping[str, Any]] | Mapping[str, float]
-"""What breaks when, or how likely what happens to a channel in an episode."""
+"""Scheduled faults, or probabilities of faults of a channel in an episode."""
 
 
 class Condition(NamedTuple):
-    """How bad the sensors of one robot are."""
+    """Severity and faults of one robot's sensors."""
 
     severity: float  # factor of all errors of the feet's sensors
     faults: tuple[Fault, ...]  # the scheduled faults
@@ -34,22 +34,22 @@ class Conditions(NamedTuple):
     """The distribution of a robot's condition."""
 
     lowest: float  # lowest severity
-    highest: float  # highest severity; all between are alike likely
+    highest: float  # highest severity; the distribution is uniform
     faults: tuple[Fault, ...] = ()  # scheduled faults, on the clock of the power-up
-    chances: tuple[FaultChance, ...] = ()  # faults that may happen in an episode, on the clock of the episode
+    chances: tuple[FaultChance, ...] = ()  # random faults of an episode, on the clock of the episode
 
     @property
     def by_chance(self) -> bool:
-        """Whether anything is drawn."""
+        """Whether a condition is random."""
         return bool(self.chances) or self.lowest < self.highest
 
     @property
     def usual(self) -> Condition:
-        """The condition of a robot of which nothing was drawn yet."""
+        """The condition of a robot before anything is drawn."""
         return Condition(min(max(1.0, self.lowest), self.highest), self.faults)
 
     def draw(self, before: Condition, fresh: bool, channels: int, rng: Rng) -> Condition:
-        """Draw the condition of an episode of K channels; the severity changes with fresh sensors alone."""
+        """Draw the condition of an episode for K channels. The severity changes with fresh sensors only."""
         severity, faults = before.severity, self.faults
         if fresh:
             severity = self.lowest
@@ -82,9 +82,9 @@ def severity_range(severity: Any) -> tuple[float, float]:
 
 
 def severity_of_each(severity: Any, robots: int) -> list[Any]:
-    """Return the severity of each of some robots.
+    """Return one severity per robot.
 
-    Given are a number or a tuple (lowest, highest) for all, or a list or an array of such, one a robot.
+    ``severity`` is a number or a tuple (lowest, highest) for all, or a list or an array of one per robot.
 
     Raises:
         ValueError: If there are more or fewer values than robots.
@@ -103,10 +103,10 @@ def severity_of_each(severity: Any, robots: int) -> list[Any]:
 def faults_of(
     faults: Any, feet: Sequence[str], cells: Sequence[str]
 ) -> tuple[tuple[Fault, ...], tuple[FaultChance, ...]]:
-    """Return scheduled faults, and faults by chance.
+    """Return scheduled and random faults.
 
     Args:
-        faults: As a user gives them.
+        faults: As passed by the user.
         feet: Names of the feet, in the order of the channels.
         cells: Names of the channels of a foot.
 
@@ -128,7 +128,7 @@ def faults_of(
 
 
 def channel_states(faults: Sequence[Fault], channels: int) -> NDArray[np.int8]:
-    """Return the fault of each channel, shape (K,): 0 for none, or 1 plus its place in ``KINDS``."""
+    """Return the fault of each channel, shape (K,): 0 without a fault, or 1 plus its index in ``KINDS``."""
     states = np.zeros(channels, dtype=np.int8)
     for fault in faults:
         for channel in (fault.channel, fault.other):

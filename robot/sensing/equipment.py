@@ -1,4 +1,4 @@
-"""The equipment of a kind of robot, and the instruments under one robot's feet in its condition."""
+"""The sensors of a type of robot: they are checked once and shared by all robots of that type."""
 
 import re
 from dataclasses import replace
@@ -23,25 +23,25 @@ from surefoot.sensors.telemetry.computer import Telemetry, TelemetryLayout, time
 from surefoot.sensors.telemetry.native import telemetry_of
 
 NAO_JOINT: Final = "LHipYawPitch"
-"""The joint by which a NAO is known: its hips share one motor, and no other robot's joint is called so."""
+"""Joint that identifies a NAO: its hips share one motor, and no other robot has a joint of this name."""
 
 NAO_COMPUTER: Final = ("nao-imu", "nao-encoders", "nao-wlan")
-"""IMU, encoders and link of a NAO whose host is at the other end of a wireless network."""
+"""IMU, encoders and link of a NAO that is controlled over a wireless network."""
 
 ONBOARD_COMPUTER: Final = ("onboard-imu", "onboard-encoders", "onboard-500hz")
-"""Those of a robot that computes on board."""
+"""IMU, encoders and link of a robot with an onboard computer."""
 
 
 class Equipment:
-    """The equipment of a kind of robot.
+    """The sensors of a type of robot.
 
     Args:
-        owner: The wrapper that asks, for messages.
+        owner: Name of the wrapper, for messages.
         drawing: The robot.
         joint_names: Its J hinge joints.
         dt: Duration of a control step in s.
-        given: The sensors that the user put on it.
-        seldom: Whether truth is read in one of several substeps of a control step.
+        given: The sensors that the user chose.
+        seldom: Whether truth is read in only one of several substeps of a control step.
 
     Attributes:
         seldom: The same.
@@ -92,10 +92,10 @@ class Equipment:
         self.fresh, self._stream = given.fresh, given.stream
 
     def with_severity(self, conditions: Conditions, severity: Any) -> Conditions:
-        """Return conditions of another severity, a number or (lowest, highest).
+        """Return conditions with another severity, a number or (lowest, highest).
 
         Raises:
-            ValueError: If a device cannot be so bad.
+            ValueError: If a device does not allow this severity.
         """
         lowest, highest = severity_range(severity)
         for end in {lowest, highest}:
@@ -103,7 +103,7 @@ class Equipment:
         return conditions._replace(lowest=lowest, highest=highest)
 
     def with_faults(self, conditions: Conditions, faults: Any) -> Conditions:
-        """Return conditions in which other things break.
+        """Return conditions with other faults.
 
         Raises:
             ValueError: If a fault or a probability is refused.
@@ -113,21 +113,21 @@ class Equipment:
         return conditions._replace(faults=given, chances=chances)
 
     def fit(self, condition: Condition) -> Instruments:
-        """Make the instruments under the feet of a robot in some condition.
+        """Build the instruments under the feet of a robot in a given condition.
 
         Raises:
-            ValueError: If a device cannot be so bad, or a fault names a channel that is not there.
+            ValueError: If a device does not allow the severity, or a fault names an unknown channel.
         """
         return Instruments(tuple(self._devices), self.drawing, self._dt, condition)
 
     def streams(self, seed: int | None) -> dict[str, Stream]:
-        """Return the random streams of one robot's devices; nobody knows them without a seed."""
+        """Return the random streams of one robot's devices, which are not reproducible without a seed."""
         return device_streams(self._stream, seed)
 
     def telemetry(self, dt: float, substeps: int) -> Telemetry:
         """Build telemetry of control steps of ``dt`` s with so many substeps, the rows of truth.
 
-        A link by name sends no more packets than there are moments of truth.
+        A link chosen by name sends at most one packet per row of truth.
         """
         imu, encoders, link = self._configs
         if self._link_by_name and link.rate is not None:
@@ -135,9 +135,9 @@ class Equipment:
         return telemetry_of(len(self._joint_names), imu, encoders, link, dt, substeps)
 
     def notes(self) -> dict[str, str]:
-        """Name the robot and the sensors that saved hardware belongs to."""
+        """Return a description of the robot and the sensors, which is saved with hardware."""
         drawing, places = self.drawing, self.drawing.position_cell_sole
-        # Masses may change: a battery, a payload.
+        # Masses are left out because a battery or a payload changes them.
         skeleton = re.sub(r"<inertial[^>]*>", "", drawing.xml)
         mark = sha256(skeleton.encode() + (b"" if places is None else places.tobytes())).hexdigest()[:12]
         return {

@@ -1,8 +1,7 @@
 """The instruments under one robot's feet: load cells, six-axis sensors in the ankles, or both.
 
-Their channels follow each other foot by foot: (left cells, left ankle, right cells, right ankle). A force
-that a level foot at rest weighs below its ankle counts as part of that sensor's offset, as it does for a
-calibrator.
+Channels are ordered foot by foot: (left cells, left ankle, right cells, right ankle). The weight of a level
+foot below its ankle sensor counts as part of that sensor's offset, as it does for a calibrator.
 """
 
 import warnings
@@ -31,10 +30,10 @@ from surefoot.sensors.stages.shear import mix
 from surefoot.sensors.transport.wire import check_wire
 
 USUAL_LENGTH = 0.2
-"""Length in m of a foot that has none, such as a sphere: errors of moments are stated in its terms."""
+"""Length in m that scales errors of moments for a foot without a length, such as a sphere; chosen."""
 
 PEAK: Final = 1.5
-"""What a foot has to bear in body weights: the robot on one foot, and half as much again when it lands."""
+"""Load of a foot in body weights: the whole robot, and half as much again when it lands; chosen."""
 
 
 class HardwareState(NamedTuple):
@@ -50,17 +49,17 @@ class HardwareState(NamedTuple):
 
 
 class CellsUnderFeet:
-    """Four load cells under each sole; or one a foot, which feels the force along its sole's z axis.
+    """Four load cells under each sole, or one per foot, which measures the force along its sole's z axis.
 
-    One is enough for a foot that touches at a point, such as a quadruped's; its force acts there.
+    One is enough for a foot with a point contact, such as a quadruped's. Its force acts at that point.
 
     Attributes:
-        name: Where their state stands in :class:`HardwareState`.
+        name: Field of their state in :class:`HardwareState`.
         kind: Their kind in the library.
-        device: Their errors.
+        device: The model of their errors.
 
     Raises:
-        ValueError: If a foot has no place for cells, or their numbers differ.
+        ValueError: If a foot has no positions for cells, or the number of cells does not match.
     """
 
     name: Final = "cells"
@@ -90,13 +89,13 @@ class CellsUnderFeet:
         self.device: Corruption[LoadCellState] = load_cells(config)
 
     def with_load(self, truth: Any, state: LoadCellState) -> LoadCellState:
-        """Return the state under the load of now, and not of another episode."""
+        """Return the state under the present load, without a memory of the last episode."""
         load = self.load(truth)[-1]
         load = mix(load, state.shear) if self.config.shear_std else load
         return state._replace(charge=load * (state.period - state.due))
 
     def load(self, truth: Any) -> Floats:
-        """Return the loads that they feel in each substep in N, shape (S, K), or (S, 3 K) with shear."""
+        """Return the true loads in each substep in N, shape (S, K), or (S, 3 K) with shear."""
         vertical = self._vertical(truth)
         if not self.config.shear_std:
             return vertical
@@ -104,21 +103,21 @@ class CellsUnderFeet:
         return np.concatenate([vertical, *across], axis=-1)
 
     def _vertical(self, truth: Any) -> Floats:
-        """Return the vertical ones of the loads, shape (S, K)."""
+        """Return the vertical loads, shape (S, K)."""
         load: Floats = truth.wrench_sole[..., 2] if self._one_a_foot else truth.force_cell
         return load
 
     def force(self, truth: Any) -> Floats:
-        """Return the true forces of a control step in N: the mean for cells that average, shape (K,)."""
+        """Return the true forces of a control step in N, shape (K,): means for cells that average."""
         instant = self.config.rate is None and not self.config.averaged
         load = self._vertical(truth)
         force: Floats = load[-1] + 0.0 if instant else load.mean(axis=0)
         return force
 
     def cell_map(self, truth: Any) -> tuple[Floats, Floats] | None:
-        """Return the map from a truth's loads to the cells' forces, as of :meth:`load`: factors and N to add.
+        """Return the linear map from rows of truth to the loads of :meth:`load`: factors, and N to add.
 
-        ``None`` where the library does not find these loads: of single cells in a simulation of plates.
+        ``None`` if the library cannot read these loads: single cells in a simulation of plates.
         """
         if not self._one_a_foot:
             found: tuple[Floats, Floats] = truth.layout.cell_map
@@ -143,7 +142,7 @@ class CellsUnderFeet:
         return FootLayout(name, np.array([[0.0], [0.0], [1.0], [y], [-x], [0.0]]), ("fz",))
 
     def true_map(self, state: LoadCellState) -> Parameters:
-        """Return the map that undoes their errors now."""
+        """Return the map that corrects their present errors."""
         return Parameters(*true_map(self.config, state))
 
 
@@ -151,12 +150,12 @@ class SensorsInAnkles:
     """A six-axis sensor in each ankle, read once a control step of ``dt`` s.
 
     Attributes:
-        name: Where their state stands in :class:`HardwareState`.
+        name: Field of their state in :class:`HardwareState`.
         kind: Their kind in the library.
-        device: Their errors.
+        device: The model of their errors.
 
     Raises:
-        ValueError: If there are more or fewer of them than feet.
+        ValueError: If the number of sensors is not that of the feet.
     """
 
     name: Final = "ankles"
@@ -188,7 +187,7 @@ class SensorsInAnkles:
         self.device: Corruption[ForceTorqueState] = force_torque(config)
 
     def with_load(self, truth: Any, state: ForceTorqueState) -> ForceTorqueState:
-        """Return the state as it is: readings remember no load before."""
+        """Return the state unchanged: readings do not depend on earlier loads."""
         return state
 
     def load(self, truth: Any) -> Floats:
@@ -198,17 +197,17 @@ class SensorsInAnkles:
         return load.ravel()
 
     def force(self, truth: Any) -> Floats:
-        """Return the true loads of a control step in N and N m, the mean for sensors that average, (K,)."""
+        """Return the true loads of a control step in N and N m, (K,): means for sensors that average."""
         force: Floats = self.load(truth) + self.preload
         return force
 
     def true_map(self, state: ForceTorqueState) -> Parameters:
-        """Return the map that undoes each axis's own errors now; cross-talk is left out."""
+        """Return the map that corrects the present errors of each axis, without cross-talk."""
         gain = 1.0 + np.diagonal(state.error, axis1=-2, axis2=-1).ravel()
         return Parameters(self.nominal.scale / gain, self.preload - state.offset.ravel() / gain)
 
     def cross_talk(self, state: ForceTorqueState) -> Floats:
-        """Return each channel's reading of the others' loads, a row a channel, shape (K, K)."""
+        """Return the cross-talk, one row per reading channel, shape (K, K)."""
         scale = self.config.full_scale[:6]
         off = state.error * (1.0 - np.eye(6)) * (scale[:, None] / scale)
         talk = np.zeros((self.channels, self.channels))
@@ -232,16 +231,16 @@ class Instruments:
         native: Parts and faults as the library has them, by :data:`~surefoot.robot.streams.DEVICES`; ``None``
             where it has no room for one.
         channels: Their number K.
-        parts: Load cells first.
-        order: Where each of the K channels stands in the rows of the parts one after another, shape (K,).
-        layout: How they add up to the feet's wrenches.
+        parts: The kinds of instruments, load cells first.
+        order: Index of each of the K channels in the concatenated rows of the parts, shape (K,).
+        layout: Maps from channels to the wrenches of the feet.
         nominal: The map by the data sheets, shape (K,).
         slope: Counts per newton (or N m) by the data sheets, shape (K,).
         zero_code: Readings without load by the data sheets in counts, shape (K,).
         code_range: Lowest and highest readings in counts, shape (K,) each.
         space: Box of the readings in counts, shape (K,).
-        age: How old a reading is on average when it is taken, in s; the cells' where there are both.
-        ages: That of each channel, shape (K,).
+        age: Mean age of a reading when it is taken in s; that of the cells if there are both kinds.
+        ages: Mean age of each channel in s, shape (K,).
 
     Raises:
         ValueError: If an instrument does not fit the robot, or a kind is given twice.
@@ -310,7 +309,7 @@ class Instruments:
         self._add_faults()
 
     def first_steps(self, dt: float) -> list[float]:
-        """Return :func:`~surefoot.robot.sensing.device.first_steps` of these, dt apart."""
+        """Return :func:`~surefoot.robot.sensing.device.first_steps` of these instruments."""
         return first_steps(tuple(part.config for part in self.parts), dt)
 
     def init(self, streams: Mapping[str, Rng]) -> HardwareState:
@@ -327,7 +326,7 @@ class Instruments:
     def read(
         self, truth: Any, state: HardwareState, streams: Mapping[str, Rng], dt: float
     ) -> tuple[Floats, HardwareState]:
-        """Read them after a control step of ``dt`` s, each with noise from its own stream, by name.
+        """Read the instruments after a control step of ``dt`` s, with one random stream per device, by name.
 
         Returns:
             Counts, shape (K,), and the state.
@@ -345,25 +344,25 @@ class Instruments:
         return raw, state
 
     def with_load(self, truth: Any, state: HardwareState) -> HardwareState:
-        """Return the state under the loads of now, at an episode start."""
+        """Return the state under the present loads, at the start of an episode."""
         for part in self.parts:
             loaded: dict[str, Any] = {part.name: part.with_load(truth, getattr(state, part.name))}
             state = state._replace(**loaded)
         return state
 
     def true_map(self, state: HardwareState) -> Parameters:
-        """Return the map that undoes their errors now: truth, to score calibrators against."""
+        """Return the map that corrects their present errors: truth, for scoring calibrators."""
         return self._parameters([part.true_map(getattr(state, part.name)) for part in self.parts])
 
     def with_map(self, state: HardwareState, true: Parameters) -> HardwareState:
-        """Return the state of load cells that a map undoes; ValueError for other instruments."""
+        """Return the state of load cells whose errors a map corrects; ValueError for other instruments."""
         config = self.parts[0].config
         if not (self._one and isinstance(config, LoadCells)):
             raise ValueError("A map of known weights is of load cells alone, and there are six-axis sensors.")
         return state._replace(cells=with_true_map(config, state.cells, *true))
 
     def join(self, parts: list[Floats]) -> Floats:
-        """Put one row a device into one row, foot by foot."""
+        """Merge one row per device into one row, foot by foot."""
         row: Floats = np.concatenate(parts)[self.order]
         return row
 
@@ -383,14 +382,14 @@ class Instruments:
 
 
 def usual_cells(drawing: RobotDrawing) -> LoadCells:
-    """Choose the cells of ``hx711-load-cells`` for a robot, of its size if they were too small."""
+    """Return the cells of ``hx711-load-cells``, scaled to the robot's weight if they are too small."""
     usual = replace(HX711_LOAD_CELLS, channels=4 * len(drawing.feet))
     bears = _rating(usual, drawing)[0] >= PEAK * drawing.weight
     return usual if bears else sized(usual, drawing.weight)
 
 
 def check_capacity(devices: Sequence[FootDevice], drawing: RobotDrawing) -> None:
-    """Warn, in the name of who made a wrapper, of instruments that are too small for a robot.
+    """Warn about instruments that are too small for a robot.
 
     Warns:
         UserWarning: If a foot's instruments are rated for less than 1.5 times the robot's weight.
@@ -407,9 +406,9 @@ def check_capacity(devices: Sequence[FootDevice], drawing: RobotDrawing) -> None
 
 
 def _rating(device: FootDevice, drawing: RobotDrawing) -> tuple[float, str, str]:
-    """Return the load in N that a foot's instruments bear, their name, and how to choose larger ones.
+    """Return the rated load of a foot's instruments in N, their name, and how to choose larger ones.
 
-    Ideal ones bear everything.
+    The rated load of ideal instruments is infinite.
     """
     if not isinstance(device, LoadCells):
         capacity = device.full_scale_force if device.converts else np.inf
@@ -427,7 +426,7 @@ def _rating(device: FootDevice, drawing: RobotDrawing) -> tuple[float, str, str]
 def layout_options(layout: FeetLayout, drawing: RobotDrawing) -> dict[str, float]:
     """Return the options of a calibrator that follow from the instruments under the feet.
 
-    A foot whose channels have no places of their own gets a length.
+    They contain a foot length if channels have no positions.
     """
     if all(foot.position_cell_sole is not None for foot in layout.feet):
         return {}

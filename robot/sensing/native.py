@@ -1,4 +1,4 @@
-"""All sensors of one robot by the library: a step or an episode's start in one call, with the observation."""
+"""All sensors of one robot in C: one call per step or start of an episode, with the observation."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
@@ -22,21 +22,21 @@ from surefoot.sensors.transport.wire import check_wire
 _SEEN = itemgetter("raw", "counts", "state")
 
 _NOTHING = np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.int32)
-"""No numbers of a state that are measured."""
+"""Places in the observation for a view without measured numbers."""
 
 Maps = tuple[Floats, ...]  # factors and forces to add of cells; nothing without cells
 
 
 class Places(NamedTuple):
-    """Where the library finds the loads of a robot, in a truth as that in which an episode starts."""
+    """Where the library finds the loads of a robot in rows of truth."""
 
     shape: tuple[int, ...]  # of the rows of truth, (S, columns)
-    columns: SensedColumns  # where sensors are read
-    map: Maps  # as of :meth:`~surefoot.robot.sensing.instruments.CellsUnderFeet.cell_map`
+    columns: SensedColumns  # columns of the sensors
+    map: Maps  # as returned by :meth:`~surefoot.robot.sensing.instruments.CellsUnderFeet.cell_map`
 
 
 def places_in(truth: Any, instruments: Instruments) -> Places | None:
-    """Return where the library finds the loads of instruments; ``None`` if it does not."""
+    """Return where the library finds the loads of instruments, or ``None`` if it cannot read them."""
     maps = _maps(truth, instruments)
     if maps is None or truth.rows.dtype != np.float64:
         return None
@@ -44,24 +44,24 @@ def places_in(truth: Any, instruments: Instruments) -> Places | None:
 
 
 def _maps(truth: Any, instruments: Instruments) -> Maps | None:
-    """Return the cells' map of a truth, as a copy; ``None`` if there is none for the library."""
+    """Return a copy of the cells' map for a truth, or ``None`` if the library cannot use one."""
     first = instruments.parts[0]
     found = first.cell_map(truth) if isinstance(first, CellsUnderFeet) else ()
     return None if found is None else tuple(part.copy() for part in found)
 
 
 class NativeSensing:
-    """The library for one robot, which holds the state of all that is under its feet.
+    """The library's sensors of one robot, with the state of all instruments under its feet.
 
-    It goes on where a Python object is, which is used up, with devices by their places in ``DEVICES``.
+    It continues from a Python object, which must not be used afterwards.
 
     Attributes:
-        telemetry_state: The telemetry's state, which goes on in place.
-        places: Where loads are found.
-        records: Its records and arrays, as the library finds them.
-        address: Where these are.
-        raw_address: Where the last reading lies.
-        rows_address: Where rows of packets lie.
+        telemetry_state: The telemetry's state, which is updated in place.
+        places: Where the loads are in rows of truth.
+        records: Addresses of its records and arrays for the library.
+        address: Address of ``records``.
+        raw_address: Address of the last reading.
+        rows_address: Address of the rows of packets.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class NativeSensing:
         del python.state
 
     def _parts_of(self, python: PythonSensing) -> dict[str, Any]:
-        """Return sizes, where readings are taken, and what devices and telemetry hold, by the names there."""
+        """Return sizes, columns, and the records of devices and telemetry, by their names in C."""
         instruments, telemetry = python.instruments, self._telemetry
         first, *more = instruments.first_steps(python.dt)
         where, (rows, columns) = self.places.columns, self.places.shape
@@ -129,7 +129,7 @@ class NativeSensing:
         return numbers
 
     def _arrays_of(self, python: PythonSensing, observed: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
-        """Return the arrays that the library reads and fills, by the names in the record."""
+        """Return the arrays that the library reads and fills, by their names in C."""
         now, view, instruments = self._seen.now, self._view, python.instruments
         (newest, held), (low, high) = python.kept, (observed, observed) if view is None else view.bounds
         arrays = {"newest": newest, "held": held, "observed": observed, "low": low, "high": high}
@@ -147,19 +147,19 @@ class NativeSensing:
         return native_sensing, (self.python(),)
 
     def draw_from(self, streams: Mapping[str, Stream]) -> None:
-        """Let chance come from other streams."""
+        """Use other random streams."""
         self._spec.streams = streams
         self.records["telemetry_stream"] = streams["telemetry"]
         for name, device in self._devices.items():
             self.records[f"{device.kind.name}_stream"] = streams[name]
 
     def keep_in(self, newest: Floats, held: NDArray[np.float32]) -> None:
-        """Keep what is shown in other arrays."""
+        """Use other arrays for the newest packet's values and the held counts."""
         self._spec.kept = newest, held
         self.records["newest"], self.records["held"] = newest, held
 
     def take(self, hardware: HardwareState) -> None:
-        """Go on with other hardware."""
+        """Replace the hardware."""
         for name, state in self._states.items():
             state.put(getattr(hardware, name))
         if self._telemetry is not None and hardware.telemetry is not None:
@@ -173,7 +173,7 @@ class NativeSensing:
         return HardwareState(**states)
 
     def python(self) -> PythonSensing:
-        """Return the Python object that goes on from here."""
+        """Return a Python object that continues from the present state."""
         found = copy(self._spec)
         found.take(self.hardware())
         if self._telemetry is not None:
@@ -181,7 +181,7 @@ class NativeSensing:
         return found
 
     def begin(self, truth: Any, at_rest: Floats, fresh: bool, observation: Any) -> Seen:
-        """Start an episode, in a truth that has the same places."""
+        """Start an episode with a truth that has the same layout."""
         maps = _maps(truth, self._spec.instruments)
         assert maps is not None
         for part, now in zip(self.places.map, maps, strict=True):
@@ -197,7 +197,7 @@ class NativeSensing:
         return self._read(truth, time, 0, observation)
 
     def _expect(self, shape: tuple[int, ...]) -> None:
-        """Take control steps of so many substeps from here on."""
+        """Expect another number of substeps per control step."""
         if shape == self.places.shape:
             return
         self.places, self.records["rows"] = self.places._replace(shape=shape), shape[0]
@@ -218,7 +218,7 @@ class NativeSensing:
         return raw, self._view.compose(observation, counts, None if self._observed is None else state)
 
     def packet_rows(self) -> tuple[int, int] | None:
-        """Return where the rows of the packets lie that have arrived, until the next step, and how many."""
+        """Return the address and the number of the rows of packets, valid until the next step."""
         return None if self._telemetry is None else (self.rows_address, int(self.records.now["packets"]))
 
     def packets(self) -> Packets:
@@ -227,17 +227,17 @@ class NativeSensing:
 
 
 SensingBackend = PythonSensing | NativeSensing
-"""Who reads all sensors of one robot, and holds their state."""
+"""A reader of all sensors of one robot, which holds their state."""
 
 
 class ManySensing:
-    """Control steps of many robots in one call of the library.
+    """Read the sensors of many robots in one call of the library.
 
     Attributes:
-        robots: The readers of each of them.
+        robots: The reader of each robot.
         raw: Addresses of their readings, shape (N,).
-        rows: Addresses of rows of packets, shape (N,).
-        packets: How many packets have arrived of each, shape (N,).
+        rows: Addresses of the rows of packets, shape (N,).
+        packets: Number of packets that have arrived for each, shape (N,).
     """
 
     def __init__(self, robots: Sequence[NativeSensing]) -> None:
@@ -250,19 +250,20 @@ class ManySensing:
         self.count_packets(range(len(robots)))
 
     def __reduce__(self) -> Any:
-        # Addresses are of no use elsewhere: a copy of the sensors makes its own.
+        # Addresses are valid in this process only: a copy of the sensors makes its own.
         return type(None), ()
 
     def count_packets(self, which: Iterable[int]) -> None:
-        """Note the packets of robots that were read one by one, and how many substeps all take now."""
+        """Update the packets of robots that were read one by one, and the numbers of substeps."""
         for i in which:
             _, self.packets[i] = self.robots[i].packet_rows() or (0, 0)
         self._shapes = {robot.places.shape for robot in self.robots}
 
     def step(self, which: NDArray[np.intp], truth: Floats, time: Floats, threads: int) -> bool:
-        """Read a control step, if it has as many substeps as the last; return whether that was done.
+        """Read a control step if its number of substeps is unchanged; return whether it was read.
 
-        Truth is of all robots, shape (N, S, columns); the hosts' clocks at its end in s are of those read.
+        ``truth`` holds all robots, shape (N, S, columns), ``time`` the hosts' clocks at its end in s of the
+        robots that are read.
         """
         if self._shapes != {truth.shape[1:]}:
             return False
@@ -276,7 +277,7 @@ class ManySensing:
 
 
 def native_sensing(python: PythonSensing) -> SensingBackend:
-    """Return a reader that goes on by the library, or as it is where a part of the robot does not fit."""
+    """Return a reader in C that continues from a Python one, or the latter if the library cannot read it."""
     instruments, telemetry, view, places = python.instruments, python.telemetry, python.view, python.places
     devices = {name: device for name, device in instruments.native.items() if device is not None}
     if places is None or len(devices) < len(instruments.native):

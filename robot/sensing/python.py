@@ -1,4 +1,4 @@
-"""All sensors of one robot by Python, which is the specification of :mod:`surefoot.robot.sensing.native`."""
+"""All sensors of one robot in Python, the specification of :mod:`surefoot.robot.sensing.native`."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -30,7 +30,7 @@ class PythonSensing:
             ``None`` if it does not.
         state: The hardware; telemetry's part as it was taken.
         telemetry_state: The telemetry's state; ``None`` before an episode.
-        streams: Where chance comes from, by the names of devices.
+        streams: Random streams by the names of devices.
         arrived: The packets of the last step.
     """
 
@@ -53,7 +53,7 @@ class PythonSensing:
         self.places: Any = None
 
     def take(self, hardware: HardwareState) -> None:
-        """Go on with other hardware; IMU and encoders stay where it has none."""
+        """Replace the hardware. IMU and encoders are kept if the new hardware has none."""
         self.state = hardware
         if self.telemetry and self.telemetry_state is not None and hardware.telemetry is not None:
             self.telemetry_state = self.telemetry.with_hardware(self.telemetry_state, hardware.telemetry)
@@ -65,11 +65,11 @@ class PythonSensing:
         return self.state._replace(telemetry=self.telemetry.hardware(self.telemetry_state))
 
     def draw_from(self, streams: Mapping[str, Stream]) -> None:
-        """Let chance come from other streams, by the names of devices."""
+        """Use other random streams, by the names of devices."""
         self.streams = streams
 
     def keep_in(self, newest: Floats, held: NDArray[np.float32]) -> None:
-        """Keep the newest packet's values and the counts that are held in other arrays from here on."""
+        """Use other arrays for the newest packet's values and the held counts."""
         self.kept = newest, held
 
     def begin(self, truth: Any, at_rest: Floats, fresh: bool, observation: Any) -> Seen:
@@ -108,16 +108,16 @@ class PythonSensing:
         """Return ``None``: the library alone has rows of packets."""
 
     def python(self) -> "PythonSensing":
-        """Return the reader in Python that goes on from here: this."""
+        """Return this object, the reader in Python."""
         return self
 
     def _read(self, truth: Any, dt: float) -> Floats:
-        """Read the feet."""
+        """Read the instruments under the feet."""
         raw, self.state = self.instruments.read(truth, self.state, self.streams, dt)
         return raw
 
     def _show(self, raw: Floats, observation: Any) -> Seen:
-        """Keep the readings that have arrived, and show them."""
+        """Store the readings that have arrived, and return them with the observation."""
         newest, held = self.kept
         arrived = ~np.isnan(raw)
         held[arrived] = raw[arrived]

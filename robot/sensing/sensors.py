@@ -1,6 +1,6 @@
 """The sensors of one robot over all its episodes: truth in, readings and packets of telemetry out.
 
-Wrappers of one robot and of many are made of it, so that a seed gives a robot the same sensors anywhere.
+Wrappers of one robot and of many use it, so that a seed gives a robot the same sensors everywhere.
 """
 
 from abc import ABC, abstractmethod
@@ -28,7 +28,7 @@ from surefoot.sensors.telemetry.computer import Telemetry
 from surefoot.sensors.transport.link import Packets
 
 _EMPTY = dict.fromkeys(("held", "charge", "window", "load", "due", "readings"))
-"""Leaves of devices that are NaN or infinite where nothing has been read or sent yet."""
+"""Fields of devices that are NaN or infinite before anything has been read or sent."""
 
 
 class RobotSensors(OfOneVersion):
@@ -37,12 +37,12 @@ class RobotSensors(OfOneVersion):
     Args:
         equipment: Its equipment.
         listening: Whether telemetry is sent.
-        view: Its view, if the library is to put the observation together as well.
+        view: Its view, if the library also assembles the observation.
 
     Attributes:
         equipment: The same.
-        conditions: The distribution of its condition: its severity with fresh sensors, faults by chance at
-            each reset. They may be changed, for the next one.
+        conditions: The distribution of its condition. The severity is drawn with fresh sensors, random faults
+            at each reset. A change takes effect at the next reset.
         listening: Whether telemetry is sent from the next reset on.
         clock: The host's time since the reset in s, shape (1,).
         sensors_fresh: Whether the last reset drew fresh sensors.
@@ -112,7 +112,7 @@ class RobotSensors(OfOneVersion):
 
     @property
     def backend(self) -> SensingBackend:
-        """Who reads in this episode."""
+        """The reader of this episode."""
         if self._backend is None:
             raise RuntimeError("There are no sensors before the first reset(), which draws them.")
         return self._backend
@@ -124,15 +124,15 @@ class RobotSensors(OfOneVersion):
 
     @property
     def packets(self) -> Packets:
-        """Telemetry that arrived during the last step, in order; only while somebody listens."""
+        """Telemetry that arrived during the last step, in order, if :attr:`listening`."""
         return () if self._backend is None else self._backend.packets()
 
     def packet_rows(self) -> tuple[int, int] | None:
-        """Return where the library has rows of :attr:`packets`, until the next step, and how many."""
+        """Return the address and number of rows of :attr:`packets` in C, valid until the next step."""
         return self.backend.packet_rows()
 
     def keep_in(self, held: NDArray[np.float32], newest: Floats, clock: Floats) -> None:
-        """Keep :attr:`held`, :attr:`newest` and :attr:`clock` in other arrays from here on."""
+        """Use other arrays for :attr:`held`, :attr:`newest` and :attr:`clock`."""
         held[...], newest[...], clock[...] = self.held, self.newest, self.clock
         self.held, self.newest, self.clock = held, newest, clock
         if self._backend is not None:
@@ -153,7 +153,7 @@ class RobotSensors(OfOneVersion):
         return self._telemetry
 
     def true_parameters(self) -> Parameters:
-        """Return the map that undoes the feet's errors now, shape (K,) each: truth, to score against."""
+        """Return the map that corrects the feet's present errors, shape (K,) each: truth, for scoring."""
         return self._instruments.true_map(self.backend.hardware())
 
     @property
@@ -163,20 +163,21 @@ class RobotSensors(OfOneVersion):
 
     @property
     def differs(self) -> bool:
-        """Whether its condition is its own: drawn, or set since it was equipped."""
+        """Whether its condition differs from other robots': drawn, or changed after construction."""
         return self.conditions.by_chance or self.conditions != self.equipment.conditions
 
     def true_condition(self) -> dict[str, NDArray[Any]]:
         """Return the condition, as truth for a critic: ``severity``, and ``fault`` (K,) of each channel.
 
-        A channel's is 0, or 1 plus the place of its fault in :data:`~surefoot.sensors.faults.channels.KINDS`.
+        The fault of a channel is 0, or 1 plus the index of its kind in
+        :data:`~surefoot.sensors.faults.channels.KINDS`.
         """
         severity, faults = self.condition
         states = channel_states(faults, self._instruments.channels)
         return {"severity": np.array(severity), "fault": states}
 
     def hardware(self) -> HardwareState:
-        """Return the present hardware, telemetry's part included, as the Python has it."""
+        """Return the present hardware, telemetry included, in Python's form."""
         found, conditions = self.backend.hardware(), self.conditions
         if conditions.chances:
             found = found._replace(faults=())
@@ -185,14 +186,14 @@ class RobotSensors(OfOneVersion):
         return found
 
     def exchange(self, hardware: HardwareState) -> None:
-        """Go on with other hardware."""
+        """Replace the hardware."""
         backend = self.backend
         faults = backend.hardware().faults if self.conditions.chances else hardware.faults
         taken = hardware._replace(faults=faults, severity=None)
         if hardware.severity in (None, self.condition.severity):
             backend.take(taken)
             return
-        # Of another severity the instruments are others.
+        # Another severity needs other instruments.
         self._instruments = self.equipment.fit(self.condition._replace(severity=hardware.severity))
         python = backend.python()
         python.instruments = self._instruments
@@ -200,7 +201,7 @@ class RobotSensors(OfOneVersion):
         self._backend = native_sensing(python)
 
     def take_map(self, path: str | PathLike[str]) -> None:
-        """Go on with load cells that the map in a JSON file undoes."""
+        """Replace the load cells by ones whose errors the map in a JSON file corrects."""
         kept, instruments = self.hardware(), self._instruments
         true, curves = read_map(path, instruments.layout.channel_names)
         if curves.any:
@@ -211,14 +212,14 @@ class RobotSensors(OfOneVersion):
         self.exchange(instruments.with_map(kept, true))
 
     def notes(self) -> dict[str, str]:
-        """Name the robot and the sensors that saved hardware belongs to."""
+        """Return a description of the robot and the sensors, which is saved with hardware."""
         read = "none" if self.backend.hardware().telemetry is None else "an IMU and encoders, which are read"
         return {**self.equipment.notes(), "telemetry": read}
 
     def _choose(self, truth: Any, hardware: HardwareState | None) -> HardwareState | None:
-        """Choose who reads an episode, the one before if nothing is different; return what it has taken.
+        """Choose the reader of an episode, the last one if nothing has changed; return the hardware it uses.
 
-        Without hardware it begins with that of the episode before.
+        Without hardware it continues with that of the last episode.
         """
         telemetry = self._telemetry if self.listening else None
         chosen_for = self._instruments, telemetry, truth.rows.shape[1]
@@ -235,9 +236,9 @@ class RobotSensors(OfOneVersion):
         return hardware
 
     def _renew(self, fresh: bool) -> HardwareState | None:
-        """Return the hardware of an episode's start, without telemetry's if that is to be drawn.
+        """Return the hardware at the start of an episode, without telemetry if that is drawn later.
 
-        ``None`` if it is that of the episode before.
+        ``None`` if it is that of the last episode.
         """
         before, streams = self._instruments, self._streams
         condition = self.conditions.draw(before.condition, fresh, before.channels, streams["condition"])
@@ -260,24 +261,24 @@ class SensorsFace(ABC):
     def _robots(self) -> Sequence[RobotSensors]: ...
 
     def _gather(self) -> None:  # noqa: B027
-        """Note that robots have other records; nothing to do for one."""
+        """React to replaced records of robots; not needed for one robot."""
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the hardware's lasting state, its scales and offsets, to an ``.npz``.
+        """Write the lasting state of the hardware, its scales and offsets, to an ``.npz``.
 
         Raises:
-            RuntimeError: If nothing was drawn yet.
+            RuntimeError: If there has been no reset yet.
         """
         save_state(path, self._hardware(), _EMPTY, **self._robots[0].notes())
 
     def load(self, path: str | PathLike[str]) -> None:
-        """Go on with the hardware of a file that :meth:`save` wrote of as many robots, or of a map for all.
+        """Load hardware that :meth:`save` wrote for the same number of robots, or a map for all robots.
 
-        A ``.json`` of ``surefoot calibrate weights`` gives load cells the errors that its map undoes.
+        With a ``.json`` of ``surefoot calibrate weights`` load cells get the errors that its map corrects.
 
         Raises:
             RuntimeError: If the environment has not been reset.
-            ValueError: If the file is of other or of more robots, or of other sensors, or its map has curves.
+            ValueError: If the file belongs to other robots or sensors, or its map has curves.
         """
         robots = self._robots
         if is_file_of_map(path):
@@ -290,6 +291,6 @@ class SensorsFace(ABC):
         self._gather()
 
     def _hardware(self) -> Any:
-        """Return the hardware of one robot as it is, and of many side by side."""
+        """Return the hardware of one robot, or a tuple of that of many."""
         found = tuple(robot.hardware() for robot in self._robots)
         return found[0] if len(found) == 1 else found
