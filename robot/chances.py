@@ -1,4 +1,4 @@
-"""How much a calibrator was given to learn from, so that one that learns nothing can say why."""
+"""Count the samples that a calibrator can learn from, and warn if it has learnt nothing."""
 
 import warnings
 
@@ -8,12 +8,13 @@ PATIENCE = 10.0  # time in s after which a calibrator should have learnt somethi
 
 
 class Chances:
-    """Counts samples that a calibrator can learn from, and warns once if it has learnt nothing of them.
+    """Counters of samples, and one warning if nothing was learnt from them.
 
     Attributes:
-        counts: How many samples nothing will be learnt of; and of those until now all, those of an upright
-            robot, those in which a foot surely stood as well, the last of these without a gap, and the most
-            without one, shape (6,). The library counts on in it.
+        counts: Shape (6,): the number of coming samples from which nothing will be learnt, then the numbers
+            of samples so far, of samples of an upright robot, of those in which a foot also stood with
+            certainty, and the length of the present and of the longest uninterrupted series of these. The
+            library updates this array as well.
     """
 
     def __init__(self) -> None:
@@ -21,7 +22,7 @@ class Chances:
         self._warned = False
 
     def wait(self, samples: int) -> None:
-        """Learn nothing of the next samples."""
+        """Learn nothing from the next samples."""
         self.counts[0] = samples
 
     @property
@@ -30,21 +31,21 @@ class Chances:
         return int(self.counts[1])
 
     def next(self) -> bool:
-        """Go on to the next sample, before :meth:`add`; return whether nothing is learnt of it."""
+        """Begin the next sample, before :meth:`add`, and return whether nothing is learnt from it."""
         waits = bool(self.counts[0] > 0)
         self.counts[0] -= waits
         return waits
 
     def add(self, upright: bool, standing: bool) -> None:
-        """Count one sample: whether it has a reference, and whether a foot surely stood."""
-        waiting, samples, before, stood, run, longest = self.counts.tolist()
+        """Count one sample: whether the robot was upright, and whether a foot stood with certainty."""
+        waiting, samples, uprights, stood, run, longest = self.counts.tolist()
         run = run + 1 if upright and standing else 0
-        self.counts[:] = waiting, samples + 1, before + upright, stood + (run > 0), run, max(run, longest)
+        self.counts[:] = waiting, samples + 1, uprights + upright, stood + (run > 0), run, max(run, longest)
 
     def judge(self, learnt: bool, dt: float, needs_swing: bool = False) -> bool:
-        """Warn, once and not before :data:`PATIENCE`, if nothing was learnt; return whether that was done.
+        """Warn once, after :data:`PATIENCE`, if nothing was learnt. Return whether a warning was issued.
 
-        Samples are ``dt`` s apart. A method that ``needs_swing`` learns from feet in the air alone.
+        Samples are ``dt`` s apart. A method that ``needs_swing`` only learns from feet in the air.
         """
         _, samples, upright, standing, _, longest = self.counts.tolist()
         if self._warned or (not learnt and samples * dt < PATIENCE):

@@ -1,4 +1,4 @@
-"""The map that a calibrator starts from, as a user gives it."""
+"""The map from which a calibrator starts, as specified by the user."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,24 +12,24 @@ from surefoot.robot.beliefs.errors import BeliefErrors
 
 
 class StartingMap:
-    """A known map, the data sheet's, or that of a calibrated start, as known weights would give it.
+    """A known map, the nominal map of the data sheet, or a calibrated start, as from known weights.
 
     Args:
-        initial: ``"nominal"``, ``"calibrated"``, or one scale and one offset a channel, as
-            :class:`~surefoot.calibration.Parameters` or a mapping, which may hold ``curves``; or the JSON
-            file of ``surefoot calibrate weights``, also as its contents.
-        nominal: The data sheet's map, shape (K,).
-        errors: How far a calibrated start is off.
-        names: Names of the channels, for the maps of files.
+        initial: ``"nominal"``, ``"calibrated"``, or one scale and one offset per channel, as
+            :class:`~surefoot.calibration.Parameters` or a mapping, which may contain ``curves``. Also the
+            JSON file of ``surefoot calibrate weights``, or its contents.
+        nominal: The map of the data sheet, shape (K,).
+        errors: The errors of a calibrated start.
+        names: Names of the channels, for maps from files.
 
     Attributes:
-        given: Whether it was given as numbers.
+        given: Whether it was specified as numbers.
         calibrated: Whether it is a calibrated start.
-        known: The map as it is known beforehand: the map as given, or else the data sheet's, shape (K,).
-        curves: The curves in front of it, if any.
+        known: The map that is known in advance: the specified map, or else the nominal map, shape (K,).
+        curves: The curves that are applied before the map, or ``None``.
 
     Raises:
-        ValueError: If it is none of these.
+        ValueError: If ``initial`` is none of these.
     """
 
     def __init__(
@@ -49,22 +49,22 @@ class StartingMap:
         self._errors = errors
 
     def as_plain(self) -> str | dict[str, Any]:
-        """Return the argument as plain words and numbers."""
+        """Return the argument as plain strings and numbers."""
         if self.given:
             curves = {} if self.curves is None else {"curves": self.curves.as_plain()}
             return {name: part.tolist() for name, part in self.known._asdict().items()} | curves
         return "calibrated" if self.calibrated else "nominal"
 
     def off(self, true: Parameters, drawn: Floats) -> Parameters:
-        """Return a true map, shape (..., K), that is off by the errors of a calibrated start.
+        """Return a true map, shape (..., K), with the errors of a calibrated start.
 
-        ``drawn`` are standard normal numbers, shape (2, ..., K).
+        ``drawn`` contains standard normal numbers, shape (2, ..., K).
         """
         return Parameters(1.0 + self._errors.scale * drawn[0], self._errors.offset * drawn[1]).after(true)
 
 
 def _read(initial: Any, channels: int) -> str | Parameters:
-    """Read the map to start from."""
+    """Convert the argument ``initial`` to a map or a name."""
     if isinstance(initial, str) and initial in ("nominal", "calibrated"):
         return initial
     if isinstance(initial, Parameters):
@@ -83,9 +83,9 @@ def _read(initial: Any, channels: int) -> str | Parameters:
 
 
 def _channels(name: str, given: Any, channels: int) -> Floats:
-    """Read one finite number a channel."""
+    """Return one finite number per channel."""
     try:
-        # A copy: what the caller does to its array later must not change where an episode starts.
+        # This is a copy, so that later changes of the caller's array do not change the starting map.
         part = np.array(given, dtype=np.float64)
     except (TypeError, ValueError):
         part = np.empty(0)

@@ -1,4 +1,4 @@
-"""The random streams of one robot's devices and beliefs, and when a reset draws fresh ones."""
+"""The random streams of one robot's devices and state estimate, and the rule when a reset draws new ones."""
 
 from typing import Any
 
@@ -6,18 +6,17 @@ import numpy as np
 
 from surefoot.sensors.randomness import Stream
 
-SENSOR_STREAM = 0x5F00  # number of the random stream that sensors draw from unless another is given
+SENSOR_STREAM = 0x5F00  # default number of the random stream of sensors
 
 BELIEF_STREAM = 0x5F01
-"""Number of the random stream that the errors of the robot's beliefs are drawn from."""
+"""Default number of the random stream for errors of the robot's own model."""
 
 DEVICES = ("cells", "ankles", "faults", "telemetry", "condition")
-"""Devices of a robot that draw, and how bad they are; each has a stream of its own within that one, by its
-place here."""
+"""Devices of a robot that draw random numbers, and their conditions. The index of each selects its stream."""
 
 
 def device_streams(stream: int, seed: int | None) -> dict[str, Stream]:
-    """Return the random streams of one robot's devices; nobody knows them without a seed."""
+    """Return the random streams of one robot's devices, from entropy of the system without a seed."""
     keys = ((stream, seed, number) if seed is not None else () for number in range(len(DEVICES)))
     return {device: Stream.of(*key) for device, key in zip(DEVICES, keys, strict=True)}
 
@@ -25,8 +24,9 @@ def device_streams(stream: int, seed: int | None) -> dict[str, Stream]:
 def wants_fresh(choice: str | None, seed: int | None, always: bool, drawn: bool) -> bool:
     """Return whether a reset draws fresh hardware.
 
-    A seed names one course of events, so that it draws; without one hardware is kept, unless the reset's
-    ``choice`` is ``"fresh"``, every reset ``always`` draws, or nothing was ``drawn`` yet.
+    A reset with a seed draws, because the seed determines the whole episode. Without a seed the hardware is
+    kept, unless the ``choice`` of the reset is ``"fresh"``, every reset ``always`` draws, or nothing was
+    ``drawn`` yet.
     """
     if not drawn:
         return True
