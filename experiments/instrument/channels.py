@@ -1,4 +1,4 @@
-"""One channel of a recording: its readings, its clock, its noise, and its flaws with their beginning."""
+"""Facts of the channels of a recording, and their flaws with the time at which they begin."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,16 +28,13 @@ from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.logs.checks import SPLIT, TWO_SESSIONS
 from surefoot.experiments.logs.clock import EPOCH, LOST_ROWS, SLOWEST, find_gaps, unit_of_times
 from surefoot.experiments.study.page import Words
-from surefoot.experiments.study.tables import sentence
+from surefoot.experiments.study.tables import plural, sentence
 
 _settle = Words("instrument", "settle")
 
-STILL = 2.0  # s for which a channel may repeat one value while others move
-RAILED, LOST = (
-    0.01,
-    0.5,
-)  # shares of readings at a converter's end, and of missing ones, that are worth a word
-ALARM = 1e-6  # probability of calling a sound channel's slope a drift
+STILL = 2.0  # time in s for which a channel may repeat one value while others change
+RAILED, LOST = 0.01, 0.5  # shares of readings at the end of the converter, and missing, that are reported
+ALARM = 1e-6  # probability of reporting a drift of a sound channel
 
 
 @dataclass(frozen=True)
@@ -51,23 +48,23 @@ class Wrong:
 
 @dataclass(frozen=True, eq=False)
 class ChannelFacts:
-    """The facts of a channel, in counts and seconds."""
+    """Facts of a channel in counts and seconds."""
 
     name: str
-    missing: float  # share of rows
+    missing: float  # share of rows without a reading
     low: float
     high: float
     step: float  # smallest difference of two readings
-    repeats: float  # share of rows that repeat the one before
+    repeats: float  # share of rows that repeat the previous one
     curve: Allan
     noise: Noise
-    slope: float  # of its unloaded readings over time, a second; NaN if not known
+    slope: float  # slope of the unloaded readings in counts per second; NaN if unknown
     slope_std: float
     rests: tuple[Stretch, ...]
 
 
 def facts_of(recording: Recording) -> list[ChannelFacts]:
-    """Facts of each channel."""
+    """Return the facts of each channel."""
     return [_facts(recording, i) for i in range(len(recording.names))]
 
 
@@ -96,7 +93,7 @@ def _facts(recording: Recording, i: int) -> ChannelFacts:
 
 
 def _slope(still: list[Stretch]) -> tuple[float, float]:
-    """Return the slope of the means of stretches over time, a second, and its standard deviation."""
+    """Return the slope of the means of stretches in counts per second, and its standard deviation."""
     if len(still) < 3:
         return np.nan, np.nan
     times, means = (np.array([part[k].mean() for part in still]) for k in (0, 1))
@@ -107,7 +104,7 @@ def _slope(still: list[Stretch]) -> tuple[float, float]:
 def find_wrong(recording: Recording, facts: list[ChannelFacts]) -> Iterator[Wrong]:
     """Yield the flaws of the clock and of single channels."""
     if recording.kind == "weighings":
-        return  # their own judge looks at single readings
+        return  # judge_weighings checks single readings
     if recording.kind != "six-axis sensor":
         told = "'time_s'" in recording.refusal
         yield from (one for one in _check_clock(recording) if one.finding.name == "gaps" or not told)
@@ -119,13 +116,13 @@ def find_wrong_channels(recording: Recording, facts: list[ChannelFacts]) -> Iter
     constant, read = _stuck(recording), np.isfinite(recording.raw)
     nothing = ""
     if len(read) < FEWEST:
-        nothing = f"{len(read)} row{'s show' if len(read) != 1 else ' shows'} nothing of a channel."
+        nothing = f"{len(read)} row{'s are' if len(read) != 1 else ' is'} too few for a check."
     elif not read.any():
-        nothing = "No column holds a reading."
+        nothing = "No column contains a reading."
     elif all(np.ptp(raw[at]) == 0.0 for raw, at in zip(recording.raw.T, read.T, strict=True) if at.any()):
-        nothing = "No channel ever changes."
+        nothing = "No channel changes."
     if nothing:
-        cure = "Look at the cables, and log some seconds of a load that changes."
+        cure = "Check the cables, and log some seconds of a changing load."
         finding = Finding("no reading", nothing, cure)
         yield Wrong(finding, settle=settling_motion(finding.name))
         return
@@ -133,7 +130,7 @@ def find_wrong_channels(recording: Recording, facts: list[ChannelFacts]) -> Iter
         raw = recording.raw[:, i]
         there = np.isfinite(raw)
         if not there.any():
-            reason, cure = f"Column '{one.name}' holds no reading.", "Check its cable and its name."
+            reason, cure = f"Column '{one.name}' contains no reading.", "Check its cable and its name."
             yield _wrong(recording, 0, Finding("no reading", reason, cure))
             continue
         if one.missing > LOST:
@@ -142,20 +139,23 @@ def find_wrong_channels(recording: Recording, facts: list[ChannelFacts]) -> Iter
             finding = Finding("missing", reason, cure, one.missing, LOST, refuses=False)
             yield _wrong(recording, int(np.argmin(there)), finding)
         if (railed := np.isin(raw, RAILS) & there).mean() > RAILED:
-            last = f"column '{one.name}' are a converter's last code ({raw[railed][0]:.0f})"
-            reason, cure = f"{railed.sum()} readings of {last}.", "Lower the gain, or look for a broken wire."
+            last = f"column '{one.name}' are at the end of the converter's range ({raw[railed][0]:.0f})"
+            reason, cure = (
+                f"{railed.sum()} readings of {last}.",
+                "Lower the gain, or check for a broken wire.",
+            )
             finding = Finding("rails", reason, cure, float(railed.mean()), RAILED)
             yield _wrong(recording, int(np.argmax(railed)), finding)
         if constant[i] >= 0:
             value = f"{raw[there][-1]:.10g}"
-            reason = f"'{one.name}' is {value} in all readings from then on, while others move."
+            reason = f"'{one.name}' stays at {value} from then on, while others change."
             finding = Finding("constant", reason, "Check its cable and its converter.")
             yield _wrong(recording, int(constant[i]), finding)
         sure = stdtrit(max(len(one.rests) - 2, 1), 1.0 - ALARM / 2.0)
         if abs(one.slope) > one.slope_std * sure:
             size = "" if recording.scale is None else f" ({60 * one.slope * recording.scale[i]:+.2g} N)"
             reason = f"Unloaded, column '{one.name}' drifts by {60 * one.slope:+.3g} counts a minute{size}."
-            finding = Finding("drift", reason, "A method that follows offsets undoes it.", refuses=False)
+            finding = Finding("drift", reason, "Use a method that tracks offsets.", refuses=False)
             yield _wrong(recording, 0, finding, "drift-unloaded")
 
 
@@ -165,9 +165,9 @@ def _check_clock(recording: Recording) -> Iterator[Wrong]:
         row, lacking = int(np.argmin(np.isfinite(time))), np.isnan(time).all()
         reason = f"Column 'time_s' is {time[row]} at row {row}."
         if lacking:
-            reason = "Rows have no times: rate, noise and drift are not seen."
+            reason = "Rows have no times, so rate, noise and drift cannot be measured."
         toml = f"{Path(recording.file).stem}.toml"
-        cure = f"Give time_s, or in {toml} under [rates] the rows a second; weighings need load_kg."
+        cure = f"Give time_s, or the rows per second under [rates] in {toml}; weighings need load_kg."
         yield _wrong(recording, row, Finding("clock", reason, cure, refuses=not lacking))
         return
     clock = recording.clock
@@ -184,12 +184,14 @@ def _check_clock(recording: Recording) -> Iterator[Wrong]:
     if clock is not None:
         gaps[[first - 1 for first in clock.sessions[1:]]] = False
     if gaps.any() and (steps >= 0.0).all():
-        reason = f"The clock leaps {gaps.sum()} times, by {steps[gaps].max():.3g} s at most."
-        finding = Finding("gaps", reason, "Calibrate parts one by one, or with --split-gaps.", refuses=walks)
+        reason = f"The clock has {plural(int(gaps.sum()), 'gap')}, the longest of {steps[gaps].max():.3g} s."
+        finding = Finding("gaps", reason, "Calibrate the parts singly, or use --split-gaps.", refuses=walks)
         yield _wrong(recording, int(np.argmax(gaps)) + 1, finding)
     if usual >= SLOWEST:
-        reason = f"Rows come {usual:.4g} s apart, as times in another unit than seconds do."
-        cure = f'Say the unit in {Path(recording.file).stem}.toml: [units] time_s = "{unit_of_times(usual)}".'
+        reason = f"Rows are {usual:.4g} s apart, so times may be in another unit than seconds."
+        cure = (
+            f'Give the unit in {Path(recording.file).stem}.toml: [units] time_s = "{unit_of_times(usual)}".'
+        )
         yield _wrong(recording, 0, Finding("rate", reason, cure, usual, SLOWEST, refuses=False))
 
 
@@ -202,12 +204,12 @@ def _wrong(recording: Recording, row: int, finding: Finding, kind: str = "") -> 
 
 
 def say_time(time: float) -> str:
-    """Return a time in s as text, to 10 ms where it is one since 1970."""
+    """Return a time in s as text, to 10 ms if it counts from 1970."""
     return f"{time:.6g} s" if abs(time) < EPOCH else f"{time:.2f} s"
 
 
 def settling_motion(kind: str) -> str:
-    """Return the shortest motion or reading that shows whether a mistake of this kind was made."""
+    """Return the shortest motion or reading that shows whether a mistake of this kind was made, or ""."""
     try:
         return _settle(kind.replace(" ", "-"))
     except KeyError:

@@ -1,4 +1,4 @@
-"""Any log as counts over time: a walk, sets of a six-axis sensor, weighings, a bag, or bare channels."""
+"""Logs of any kind as readings over time: walks, sets of six-axis sensors, weighings and bare channels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,39 +29,31 @@ class Recording:
     file: str
     kind: str  # "walk", "feet alone", "six-axis sensor", "weighings" or "channels"
     names: tuple[str, ...]  # of the channels
-    time: Floats  # in s, shape (N,); NaN where nothing says it
+    time: Floats  # in s, shape (N,); NaN if unknown
     raw: Floats  # in counts, shape (N, K); NaN where no sample arrived
-    unloaded: NDArray[np.bool_]  # where a channel surely carries nothing, shape (N, K)
+    unloaded: NDArray[np.bool_]  # where a channel certainly carries no load, shape (N, K)
     load: Floats | None = None  # known load of each channel in N, shape (N, K)
     scale: Floats | None = None  # nominal N per count with its sign, shape (K,)
-    read: Log | InSituLog | None = None  # what its own command makes of it
-    refusal: str = ""  # why its own command cannot read it
+    read: Log | InSituLog | None = None  # the log as its command reads it
+    refusal: str = ""  # why its command cannot read it
     notices: tuple[str, ...] = ()
-    clock: Clock | None = None  # what was found of the times, if rows have any
+    clock: Clock | None = None  # analysis of the times, if there are any
 
     @property
     def has_times(self) -> bool:
-        """Whether samples have times."""
+        """Whether all samples have times."""
         return bool(len(self.time) > 1 and np.isfinite(self.time).all())
 
     @property
     def has_loads(self) -> bool:
-        """Whether the load of any row is known, be it none."""
+        """Whether the load is known in any row, including rows without load."""
         return self.load is not None or bool(self.unloaded.any())
-
-    def cut(self, rows: slice) -> "Recording":
-        """Return some of its samples."""
-        load = None if self.load is None else self.load[rows]
-        return replace(
-            self, time=self.time[rows], raw=self.raw[rows], unloaded=self.unloaded[rows], load=load
-        )
 
 
 def read_recording(path: Path, topics: Path | None = None) -> Recording:
-    """Read a log of any kind; LogError if it is no readable table or holds no channel.
+    """Read a log of any kind; LogError if it is not a readable table or has no channels.
 
-    A log of which the command of its kind would say that it cannot be read is a recording all the same, with
-    the reason, as long as its channels can be found.
+    If the command for this kind of log cannot read it, the recording contains the reason.
     """
     if is_bag(path):
         bag = read_bag(path, topics)
@@ -83,7 +75,7 @@ def read_recording(path: Path, topics: Path | None = None) -> Recording:
 
 
 def _has_in_situ_settings(path: Path) -> bool:
-    """Whether a TOML file, if it is there, has keys of a six-axis sensor's log."""
+    """Return whether a TOML file exists and has keys of the log of a six-axis sensor."""
     given = read_toml(path, LogError) if path.is_file() else {}
     columns = given.get("columns")
     named = set(columns) if isinstance(columns, dict) else set()
@@ -104,7 +96,7 @@ def _walk(path: Path, table: LogTable, topics: Path | None) -> Recording:
     swing = np.asarray(read.reference.swing)[read.reference_rows]
     swing[len(swing) - read.lag :] = False
     if read.about.get("contacts") == FELT:
-        # A load that turns at its least is flat as well, but not for long.
+        # A load is also flat at its minimum, but only briefly.
         size = round(BLOCK / read.dt)
         swing = np.stack([binary_opening(one, np.ones(max(size, 1))) for one in swing.T], axis=-1)
     return Recording(
@@ -145,7 +137,7 @@ def _channels(table: LogTable, kind: str, loads: Sequence[str]) -> Recording:
         there = (
             f"there are {join_names(table.names)}. {cure}" if table.names else "no topic is mapped to one."
         )
-        raise LogError(f"{table.file}: holds no column 'raw_<channel>_count'; {there}")
+        raise LogError(f"{table.file}: has no column 'raw_<channel>_count'; {there}")
     raw = table.stack_columns(names)
     clock = read_clock(table.numbers("time_s")) if "time_s" in table else None
     time = np.full(len(raw), np.nan) if clock is None else clock.time

@@ -1,7 +1,7 @@
-"""ROS bags as tables: fields of topics become columns, on one clock; docs/log-format.md says how.
+"""ROS bags as tables. Fields of topics become columns on one clock, as docs/log-format.md describes.
 
-ROS 1 bags and ROS 2 bags (sqlite3 and MCAP) are read by ``rosbags``; ROS need not be installed. A mapping
-file in TOML says which field is which column.
+The package ``rosbags`` reads ROS 1 bags and ROS 2 bags (sqlite3 and MCAP) without ROS. A mapping file in TOML
+assigns fields to columns.
 """
 
 import re
@@ -34,21 +34,21 @@ from surefoot.files import read_toml
 SUFFIXES = (".bag", ".mcap", ".db3")  # of files; a ROS 2 bag may also be a folder
 
 EARLY, LATE = 0.002, 0.05
-"""Times in s by which a message may reach the recorder before its stamp, as clocks of one robot differ, and
-after it; beyond, the stamps are those of another clock."""
+"""Limits in s of the delay from the stamp of a message to its receipt, negative and positive. Stamps with
+other delays are from another clock."""
 
-LEAST = 0.02  # quantile of the delays that counts as the least delay
-BRIDGED = 2.5  # periods of a topic between two messages that a straight line may bridge
-SPAN = 16  # messages over which a topic's period is taken: bursts even out
+LEAST = 0.02  # quantile of the delays that is used as the smallest delay
+BRIDGED = 2.5  # longest gap between messages, in periods of the topic, that is interpolated
+SPAN = 16  # number of messages over which the period of a topic is averaged
 
-HELD = re.compile(r".*_(stance|swing|contact)|set|added_.*")  # columns that are what they last were
-NEAREST = ("_qw", "_qx", "_qy", "_qz")  # columns that are not interpolated one by one
+HELD = re.compile(r".*_(stance|swing|contact)|set|added_.*")  # columns that keep their last value
+NEAREST = ("_qw", "_qx", "_qy", "_qz")  # columns that cannot be interpolated separately
 
-FieldPath = tuple[str, ...]  # names of a field within a field within a message
+FieldPath = tuple[str, ...]  # names of nested fields of a message
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path names a bag: a folder, or a file with one of the endings of bags."""
+    """Return whether a path is a bag: a folder, or a file with one of the suffixes of bags."""
     return path.is_dir() or path.suffix.lower() in SUFFIXES
 
 
@@ -66,11 +66,11 @@ Columns = Annotated[dict[FieldPath, str], PlainValidator(_columns)]
 
 
 class Topics(Settings):
-    """A mapping file: which fields of which topics are which columns."""
+    """A mapping file, which assigns fields of topics to columns."""
 
     topics: Annotated[dict[str, Columns], Field(min_length=1)]
     offsets_s: dict[str, Number] = Field(default_factory=dict)
-    """What is added to a topic's stamps, in place of what is found."""
+    """Time in s that is added to the stamps of a topic, in place of the estimated offset."""
 
     @model_validator(mode="after")
     def _once(self) -> Self:
@@ -93,7 +93,7 @@ class Series(NamedTuple):
 
     @property
     def reach(self) -> str:
-        """From when to when there are messages."""
+        """The topic with its first and last time."""
         return f"'{self.topic}' from {self.time[0]:.6g} to {self.time[-1]:.6g} s"
 
     @property
@@ -103,16 +103,16 @@ class Series(NamedTuple):
 
 
 class Bag(NamedTuple):
-    """The data of a bag."""
+    """The selected data of a bag."""
 
     file: str
     series: tuple[Series, ...]  # in the order of the mapping file
-    notices: tuple[str, ...]  # what was found of each topic's clock
+    notices: tuple[str, ...]  # about the clock of each topic
 
     def table(self, wanted: Callable[[str], bool] = lambda name: True) -> LogTable:
-        """Return some columns; its rows are the messages of the first topic that has any of them.
+        """Return some columns. The rows are the messages of the first topic that has one of the columns.
 
-        Rows without a value of other topics are left out. Raises LogError if none remain.
+        Rows without values of the other topics are left out. Raises LogError if no rows remain.
         """
         parts = [one for one in self.series if any(map(wanted, one.columns))]
         if not parts:
@@ -120,11 +120,10 @@ class Bag(NamedTuple):
         return self._on_rows(parts[0], parts, wanted, _onto)
 
     def motion(self, averaged: bool) -> tuple[LogTable, bool]:
-        """Return joints and IMU on the rows of the joints, and whether the IMU is a mean over each of them.
+        """Return joints and IMU at the rows of the joints, and whether the IMU is a mean since the last row.
 
-        ``averaged`` says so of the IMU's own rows. Where the IMU has rows of its own, it is averaged over
-        those of the joints, which are counted at their even rate: a row of joints that was lost costs none of
-        the IMU's.
+        ``averaged`` states this of the rows of the IMU. An IMU with separate rows is averaged between the
+        rows of the joints, including rows that were lost, so that no sample of the IMU is lost.
         """
         inertial = {*ACCELEROMETER, *GYROSCOPE}
         jointed = [one for one in self.series if any(name.startswith("joint_") for name in one.columns)]
@@ -156,7 +155,7 @@ class Bag(NamedTuple):
         wanted: Callable[[str], bool],
         onto: Callable[[Series, Series, str], Floats],
     ) -> LogTable:
-        """Return columns of topics at the times of ``rows``, onto which ``onto`` brings one of them."""
+        """Return columns of topics at the times of ``rows``. ``onto`` computes one of them."""
         values = {"time_s": rows.time}
         for one in parts:
             for name in filter(wanted, one.columns):
@@ -171,15 +170,15 @@ class Bag(NamedTuple):
 
 
 def is_motion(name: str) -> bool:
-    """Whether a column belongs to the table of joints and IMU."""
+    """Return whether a column belongs to the table of joints and IMU."""
     return name.startswith("joint_") or name in (*ACCELEROMETER, *GYROSCOPE, PACKET)
 
 
 def _complete(one: Series) -> tuple[Series, Series]:
-    """Return the rows of a topic with those that were lost, and the topic, both at even times."""
+    """Return all rows of a topic including lost ones, and the topic, both at even times."""
     packet = one.columns.get(PACKET)
     if packet is not None and not (np.isfinite(packet).all() and (np.diff(packet) > 0).all()):
-        return one, one  # read_motion says what is wrong with it
+        return one, one  # read_motion reports the error
     number, even = even_rows(one.time, packet)
     every = np.arange(number[-1] + 1)
     counted = {} if packet is None else {PACKET: packet[0] + every}
@@ -187,7 +186,7 @@ def _complete(one: Series) -> tuple[Series, Series]:
 
 
 def _onto(rows: Series, one: Series, name: str) -> Floats:
-    """Return a column at the times of other rows; NaN where it is not known."""
+    """Return a column at the times of other rows, NaN where it is unknown."""
     there = np.isfinite(one.columns[name])
     time, values = one.time[there], one.columns[name][there]
     if not len(time):
@@ -207,9 +206,9 @@ def _onto(rows: Series, one: Series, name: str) -> Floats:
 
 
 def read_bag(path: Path, mapping: Path | None = None) -> Bag:
-    """Read the topics that a mapping file names; by default the file beside the bag.
+    """Read the topics that a mapping file names, by default the file beside the bag.
 
-    Raises LogError if there is no whole bag, no mapping, or a topic or field is not as the mapping says.
+    Raises LogError if the bag is incomplete, the mapping is missing, or it does not fit the topics.
     """
     mapping = path.with_suffix(".topics.toml") if mapping is None else mapping
     with open_bag(path) as reader:
@@ -243,7 +242,7 @@ def read_bag(path: Path, mapping: Path | None = None) -> Bag:
 
 
 def _series_of(topic: str, time: Floats, columns: Mapping[str, Floats]) -> tuple[Series, str]:
-    """Return messages in order of time, without repeated times, and a notice with a place for its clock."""
+    """Return messages in order of time without repeats, and a notice with a placeholder for the clock."""
     kept = np.unique(time, return_index=True)[1]
     one = Series(topic, time[kept], {name: values[kept] for name, values in columns.items()})
     rate = f", {1.0 / one.period:.4g} a second" if len(kept) > 1 else ""
@@ -255,13 +254,13 @@ def _series_of(topic: str, time: Floats, columns: Mapping[str, Floats]) -> tuple
 def _by_publisher(
     messages: list[Any], fields: Mapping[FieldPath, str]
 ) -> Iterator[tuple[NDArray[np.intp], dict[FieldPath, str]]]:
-    """Yield the rows of messages of each publisher of a topic, and the fields that these messages have.
+    """Yield the rows of the messages of each publisher of a topic, and their fields.
 
-    Several drivers may publish on one topic, each its own joints, at their own rates. Messages with the same
-    names come from one of them; fields without names are those of all messages.
+    Several drivers may publish different joints on one topic at different rates. Messages with the same names
+    come from the same driver. Fields without names belong to all messages.
     """
     names = [tuple(getattr(message, "name", ())) for message in messages]
-    # Of several that publish one joint the most frequent is read, and its messages come first as rows.
+    # If several drivers publish one joint, the most frequent one is read, and its messages are the rows.
     kinds = [kind for kind, _ in Counter(names).most_common()]
     found: dict[tuple[str, ...], dict[FieldPath, str]] = {kind: {} for kind in kinds}
     for path, column in fields.items():
@@ -282,10 +281,10 @@ def _read_topics(path: Path, mapping: Path) -> Topics:
 
 @contextmanager
 def explain_damage(path: Path) -> Iterator[None]:
-    """Name the way out of a file that cannot be read."""
+    """Turn errors about an unreadable file into a LogError with a remedy."""
     try:
         yield
-    except Exception as error:  # rosbags and what it reads with raise many kinds at a file that ends early
+    except Exception as error:  # rosbags and its readers raise many types for a file that ends early
         reason = flat(str(error))[:160].rstrip(".") or type(error).__name__
         if reason.startswith("Profile is not"):
             raise LogError(
@@ -300,7 +299,7 @@ def explain_damage(path: Path) -> Iterator[None]:
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[Any]:
-    """Give a reader of a bag that has messages."""
+    """Open a bag that has messages, and return its reader."""
     if path.exists() and not is_bag(path):
         raise LogError(f"{path.name}: no bag; one is a folder or ends in {', '.join(SUFFIXES)}.")
     try:
@@ -315,7 +314,7 @@ def open_bag(path: Path) -> Iterator[Any]:
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise LogError(f"{path.name}: a folder without metadata.yaml is no bag of ROS 2; give a log.")
     with explain_damage(path):
-        # Bags of older releases hold no definitions; those of the common messages have not changed since.
+        # Bags of older releases have no definitions. Those of the common messages have not changed.
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     with closing(reader):
@@ -328,7 +327,7 @@ def message_of(path: Path, reader: Any, connection: Any, data: bytes) -> Any:
     """Decode a message, or raise LogError."""
     try:
         return reader.deserialize(data, connection.msgtype)
-    except Exception as error:  # likewise
+    except Exception as error:  # rosbags raises many types here too
         raise LogError(
             f"{path.name}: '{connection.topic}' holds {connection.msgtype}, which cannot be decoded "
             f"({error!r}); record it with its definition, as MCAP does, or publish it as a common type."
@@ -338,9 +337,9 @@ def message_of(path: Path, reader: Any, connection: Any, data: bytes) -> Any:
 def _numbers(
     where: str, fields: Mapping[FieldPath, str], messages: list[Any], names: Iterable[str]
 ) -> dict[str, Floats]:
-    """Return columns of messages; LogError if one lacks a field, or no message has a number in it.
+    """Return columns of messages; LogError if a field is missing or never contains a number.
 
-    ``names`` are those of all joints of the topic.
+    ``names`` are the names of all joints of the topic.
     """
     columns: dict[str, Floats] = {}
     for path, column in fields.items():
@@ -352,7 +351,7 @@ def _numbers(
 
 
 def _number(where: str, message: Any, path: FieldPath) -> float:
-    """Return a field, an element by its number, or that of a joint by its name; NaN if absent."""
+    """Return a field: an element by its number, or by the name of its joint. NaN if it is absent."""
     value = message
     for name in path:
         if isinstance(value, np.ndarray | list | tuple):
@@ -384,7 +383,7 @@ def _field_names(holder: Any) -> list[str]:
 
 
 def _stamps(messages: list[Any], origin: int) -> Floats | None:
-    """Return header stamps in s since the bag began; ``None`` if messages have none."""
+    """Return header stamps in s since the start of the bag, None if there are none."""
     stamps: list[Any] = [getattr(getattr(one, "header", None), "stamp", None) for one in messages]
     if any(stamp is None or stamp.sec == stamp.nanosec == 0 for stamp in stamps):
         return None
@@ -392,11 +391,11 @@ def _stamps(messages: list[Any], origin: int) -> Floats | None:
 
 
 def _clock(received: Floats, stamps: Floats | None, given: float | None) -> tuple[Floats, str]:
-    """Return times of messages on the recorder's clock, and how they were found.
+    """Return times of messages on the recorder's clock, and a description of how they were found.
 
-    The delay of a message to the recorder is never negative, and most messages take little more than the
-    quickest. So the least time from stamp to receipt tells how far two clocks are apart, up to the time that
-    the quickest takes.
+    The delay of a message is never negative, and most messages are about as fast as the fastest. So the
+    smallest difference of receipt and stamp is the offset of the two clocks, up to the delay of the fastest
+    message.
     """
     if stamps is None:
         time = _even(received)
@@ -419,7 +418,7 @@ def _clock(received: Floats, stamps: Floats | None, given: float | None) -> tupl
 
 
 def _even(received: Floats) -> Floats:
-    """Return times of receipt without their jitter, as early as the quickest; or themselves if uneven."""
+    """Return times of receipt without jitter if the rate is even, as early as the fastest messages."""
     if len(received) <= 2 * SPAN:
         return received
     period = float(np.median(received[SPAN:] - received[:-SPAN])) / SPAN

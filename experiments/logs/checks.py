@@ -1,4 +1,4 @@
-"""The data that a log of a walk must hold, and the decision about findings on a file."""
+"""Checks of the data in logs, and the decision about findings in a file."""
 
 import re
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ from surefoot.names import page
 LISTED = f"{page('log-format')} lists every column and its unit."
 
 OF_USE = re.compile(r"(raw|reference|momentum|truth|command|joint|accelerometer|gyroscope)_.*|packet|time_s")
-"""Columns of a walk; others may hold anything."""
+"""Columns of a walk. Other columns are ignored."""
 
-LARGEST = 1e9  # magnitude at which absurd values are clipped, so that their squares stay finite
+LARGEST = 1e9  # magnitude at which values are clipped, so that their squares are finite
 
 
 def naming_cure(table: LogTable, wanted: Sequence[str]) -> str:
-    """Cure for missing columns: where they are listed, and how columns get their names."""
+    """Return the remedy for missing columns: their documentation, and how to assign names to columns."""
     others = [
         name
         for name in table.names
@@ -39,9 +39,9 @@ def naming_cure(table: LogTable, wanted: Sequence[str]) -> str:
 
 
 def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict[str, Floats]:
-    """Return columns as floats; LogError if one is missing or wrong; raw readings may be NaN: no sample.
+    """Return columns as floats; LogError if one is missing or invalid.
 
-    ``cure`` is said besides of missing columns.
+    Raw readings may be NaN where no sample arrived. ``cure`` is added to the message about missing columns.
     """
     table.require(names, f"{naming_cure(table, names)} {cure}".rstrip())
     values = {name: table.numbers(name, flags=True) for name in names}
@@ -63,7 +63,7 @@ def check_columns(table: LogTable, names: Sequence[str], cure: str = "") -> dict
 
 
 def _check_quaternion(values: dict[str, Floats], stem: str, file: str) -> None:
-    # Clipped, as squares of absurd values overflow; they are refused all the same.
+    # Values are clipped because squares of huge values overflow. They are still refused.
     length = np.sqrt(sum(np.clip(values[f"{stem}{axis}"], -LARGEST, LARGEST) ** 2 for axis in "wxyz"))
     wrong = np.abs(length - 1.0) > 1e-3
     if wrong.any():
@@ -75,10 +75,10 @@ def _check_quaternion(values: dict[str, Floats], stem: str, file: str) -> None:
 
 
 def clock_of(stamps: Floats, file: str, *, spread: bool = True, joined: bool | None = None) -> Clock:
-    """Read a column of times in s, (N,).
+    """Read a column of times in s, (N,), as :func:`read_clock` does with ``spread``.
 
-    Raises LogError if it has a flaw, or several sessions and ``joined`` is not true; it is ``None`` where no
-    option joins them. ``spread`` is that of :func:`read_clock`.
+    Raises LogError if the times are invalid, or if there are several sessions and ``joined`` is not True.
+    ``joined`` is None for commands without an option to join sessions.
     """
     clock, at = read_clock(stamps, spread=spread), f"{file}: column 'time_s'"
     if clock.flaw:
@@ -96,7 +96,7 @@ SPLIT = ", or keep them apart with --split-gaps."
 
 
 def check_time(time: Floats, dt: float, max_gap: float, file: str) -> None:
-    """Raise LogError if increasing times in s, shape (N,), leap or do not step as the description says."""
+    """Raise LogError if increasing times in s, (N,), have gaps or do not have the step of the description."""
     step = np.diff(time)
     leaps = _say_leaps(step, max_gap)
     median = float(np.median(step))
@@ -116,7 +116,7 @@ def check_time(time: Floats, dt: float, max_gap: float, file: str) -> None:
 
 
 def _say_leaps(step: Floats, max_gap: float) -> str:
-    """Return how time leaps, "" if it does not, and the cure."""
+    """Describe the gaps in time with a remedy, or return "" if there are none."""
     leaps = find_gaps(step, max_gap)
     if not leaps.any():
         return ""
@@ -130,7 +130,7 @@ def _say_leaps(step: Floats, max_gap: float) -> str:
 
 
 def check_readings(raw: Floats, names: Sequence[str], file: str) -> None:
-    """Raise LogError if a column of readings, (N, K), is empty: its offset cannot be read in the air."""
+    """Raise LogError if a column of readings, (N, K), is empty, so that its offset cannot be found."""
     empty = [name for name, column in zip(names, raw.T, strict=True) if np.isnan(column).all()]
     if empty:
         more = f", as {len(empty) - 1} others," if empty[1:] else ""
@@ -141,13 +141,13 @@ def check_readings(raw: Floats, names: Sequence[str], file: str) -> None:
 
 
 def check_load_cells(layout: FeetLayout, what: str) -> None:
-    """Raise LogError unless a layout is of one plate or two feet on load cells, which the live page shows."""
+    """Raise LogError unless a layout has one plate or two feet on load cells, as the live page needs."""
     if len(layout.feet) > 2 or any(foot.position_cell_sole is None for foot in layout.feet):
         raise LogError(f"The page shows one plate or two feet on load cells, and this {what} has others.")
 
 
 def check_reference(reference: Reference, file: str) -> None:
-    """Raise LogError if references, N rows, cannot be in metres or metres per second squared."""
+    """Raise LogError if references, N rows, are not in metres and metres per second squared."""
     apart = np.asarray(reference.com) - np.asarray(reference.position_sole).mean(axis=1)
     reach = float(np.median(_length(apart)))
     if reach > FARTHEST:
@@ -164,17 +164,17 @@ def check_reference(reference: Reference, file: str) -> None:
 
 
 def _length(vectors: Floats) -> Floats:
-    """Lengths of vectors, finite for absurd ones too."""
+    """Return lengths of vectors, which are finite for huge values too."""
     return np.asarray(np.linalg.norm(np.clip(vectors, -LARGEST, LARGEST), axis=-1))
 
 
 def pass_or_refuse(
     findings: Sequence[Finding], accept: str, file: str, written: str
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return notices of accepted findings, and of weaker ones.
+    """Return notices about accepted findings, and about weaker findings.
 
-    Raises CalibrationRefused with all that refuses, if ``accept`` holds no reason to go on; messages name the
-    file, and the files that are ``written`` with the reason, such as ``"every file"``.
+    Raises CalibrationRefused with all findings that refuse the file, unless ``accept`` contains a reason to
+    continue. ``written`` describes the files that will contain the reason, such as ``"every file"``.
     """
     decision = decide(findings, accept)
     if decision.refused:

@@ -1,4 +1,4 @@
-"""The columns of a log: their names with units, and the arrays behind them."""
+"""Names of the columns of a log, with units, and their conversion to arrays."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -22,16 +22,16 @@ _VECTORS = {
     },
     "momentum": {"com": "m", "com_velocity": "m_s", "angular_momentum": "Nms"},
 }
-"""Fields of beliefs that are vectors, with their units, by the beginning of their columns."""
-_TRUTH = {"force": "N", "scale": "N_per_count", "offset": "N"}  # of each channel
-PHASES = ("stance", "swing")  # contacts that a robot is sure of; a foot in between is neither
+"""Vector fields of references and momentum, with their units, by the prefix of their columns."""
+_TRUTH = {"force": "N", "scale": "N_per_count", "offset": "N"}  # fields with one column per channel
+PHASES = ("stance", "swing")  # certain contacts; a foot can be in neither phase
 LOADS = {"load_kg": GRAVITY, "load_N": 1.0}
-"""Columns of the load that every cell bears by itself, and what one is in N."""
-_POSE = "pose"  # in the place of the two fields of the soles' poses
+"""Columns of the load on each single cell, with the factor to N."""
+_POSE = "pose"  # stands for the two fields of the soles' poses
 
 
 def channel_slugs(layout: FeetLayout) -> list[str]:
-    """Return the channels' names as they stand in column names."""
+    """Return the channel names in the form used in column names."""
     return [slug(name) for name in layout.channel_names]
 
 
@@ -46,28 +46,28 @@ def phase_names(layout: FeetLayout, phase: str) -> list[str]:
 
 
 def has_references(names: Iterable[str]) -> bool:
-    """Whether columns hold beliefs of a robot, besides contacts; without any, feet are alone."""
+    """Return whether there are reference columns other than contacts. Without them, feet are alone."""
     return any(name.startswith("reference_") and not name.endswith(PHASES) for name in names)
 
 
 def _pose_names(layout: FeetLayout, stem: str) -> list[str]:
-    """Return the columns of the soles' poses: of each foot three of its place, four of its quaternion."""
+    """Return the columns of the soles' poses: per foot, three of the position and four of the quaternion."""
     parts = [*(f"{axis}_m" for axis in "xyz"), *(f"q{axis}" for axis in "wxyz")]
     return [f"{stem}_{slug(foot.name)}_sole_{part}" for foot in layout.feet for part in parts]
 
 
 def names_of(layout: FeetLayout) -> list[str]:
-    """Return the names of all columns that a log must have."""
+    """Return the names of the required columns of a log."""
     return ["time_s", *raw_names_of(layout), *part_names(layout, "reference")]
 
 
 def part_names(layout: FeetLayout, part: str) -> list[str]:
-    """Return the names of the columns of ``"reference"``, ``"momentum"`` or ``"truth"``, which begin so."""
+    """Return the names of the columns with the prefix ``"reference"``, ``"momentum"`` or ``"truth"``."""
     return [name for names in _names_by_field(layout, part).values() for name in names]
 
 
 def _names_by_field(layout: FeetLayout, part: str) -> dict[str, list[str]]:
-    """Return the columns of each field of a record, in order."""
+    """Return the column names of each field of a record, in order."""
     if part == "truth":
         slugs = channel_slugs(layout)
         found = {name: [f"truth_{name}_{one}_{unit}" for one in slugs] for name, unit in _TRUTH.items()}
@@ -101,9 +101,9 @@ def columns_of(log: Any) -> dict[str, NDArray[Any]]:
 def fields_of(
     values: dict[str, Floats], layout: FeetLayout, part: str, reference: Any = None
 ) -> dict[str, Any]:
-    """Return the fields of ``"reference"``, ``"truth"`` or, but for contacts, ``"momentum"``.
+    """Return the fields of ``"reference"``, ``"truth"`` or ``"momentum"`` (without contacts) from columns.
 
-    Poses of the soles that are those of the ``reference`` share its arrays, which are most of a log.
+    Poses of the soles that equal those of the ``reference`` share its arrays, which saves most of the memory.
     """
     named = _names_by_field(layout, part)
     pose_names = named.pop(_POSE)
@@ -124,7 +124,7 @@ def _rotation(part: str) -> str:
 
 
 def _flat_poses(position: Floats, R: Floats) -> Floats:
-    """Return poses (N, F, 3), (N, F, 3, 3) as (N, 7 F)."""
+    """Return positions (N, F, 3) and rotations (N, F, 3, 3) as columns (N, 7 F)."""
     quaternion = Rotation.from_matrix(np.reshape(R, (-1, 3, 3))).as_quat(canonical=True)[:, [3, 0, 1, 2]]
     parts = [np.reshape(position, (-1, 3)), quaternion]
     return np.concatenate(parts, axis=1).reshape(len(position), -1)

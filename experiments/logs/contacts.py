@@ -1,6 +1,6 @@
-"""Which feet surely stand and which surely swing: no calibrator learns from one that is neither.
+"""Feet that certainly stand and feet that certainly swing. Calibrators do not learn from other feet.
 
-The log's own contacts come first, then the commands, then a guess from the soles' own motion.
+Contacts come from the log, otherwise from commands, otherwise from the motion of the soles.
 """
 
 import numpy as np
@@ -13,26 +13,26 @@ from surefoot.experiments.logs.checks import check_columns
 from surefoot.experiments.logs.table import LogError, LogTable
 
 LIFTED = 0.007
-"""Height in m of one sole above the other at which it surely does not stand on the same floor: angles of
-joints and what gives under load make up some millimetres."""
+"""Height in m of one sole above the other from which it does not stand on the same floor. Errors of joint
+angles and compliance amount to some millimetres."""
 
-TOGETHER = 0.003  # height in m up to which two soles may stand on the same floor
-MOVING = 0.03  # speed in m/s of one sole against the other at which one of them surely does not stand
-PAUSE = 0.1  # s before and after which a foot in the air must move: it turns round at the top
-CARRIED = 0.5  # share of the weight that the ground must carry for any foot to be sure to stand
+TOGETHER = 0.003  # largest height difference in m of two soles on the same floor
+MOVING = 0.03  # relative speed in m/s of the soles above which one of them does not stand
+PAUSE = 0.1  # time in s for which a foot in the air may rest, because it stops at the highest point
+CARRIED = 0.5  # least share of the weight on the ground for any foot to count as standing
 
 GUESSED = "guessed from the height and speed of the soles"
 FELT = "guessed from the feet's own load"
 
 HARDEST = 3.0
-"""Weights that the load of a foot changes by at most: those of runners do by two to three (Nilsson and
-Thorstensson 1989, Acta Physiol. Scand. 136)."""
+"""Largest range of a foot's load in body weights. For runners it is two to three (Nilsson and Thorstensson
+1989, Acta Physiol. Scand. 136)."""
 
 
 def contacts(
     table: LogTable, names: tuple[str, str], reference: Reference, dt: float
 ) -> tuple[Bools, Bools, str]:
-    """Return which feet surely stand and which surely swing, (N, 2) each, and how it is known."""
+    """Return which feet certainly stand and which swing, (N, 2) each, and the source of the contacts."""
     phases = [f"reference_{name}_{phase}" for phase in ("stance", "swing") for name in names]
     commands = [f"command_{name}_contact" for name in names]
     for wanted, source in ((phases, "as the log says"), (commands, "as the log says was commanded")):
@@ -54,14 +54,14 @@ def contacts(
 
 
 def guess_contacts(reference: Reference, dt: float) -> tuple[Bools, Bools]:
-    """Guess stance and swing, (N, 2) each, from how high the soles are and how fast they move apart.
+    """Estimate stance and swing, (N, 2) each, from the height and relative speed of the soles.
 
-    A foot that is held up without moving may as well stand on a stair: it is neither.
+    A raised foot that does not move may stand on a stair, so it is neither in stance nor in swing.
     """
     apart = reference.position_sole[:, 0] - reference.position_sole[:, 1]
     known = np.isfinite(apart).all(axis=-1) & np.isfinite(reference.com_acceleration[:, 2])
     apart = np.where(known[:, None], apart, 0.0)
-    # The level frame turns with the feet; lengths in it do not.
+    # The level frame rotates with the feet, which does not change lengths.
     speed = np.linalg.norm(np.gradient(apart, dt, axis=0), axis=-1)
     near = 2 * round(PAUSE / dt) + 1
     moving = maximum_filter1d((speed > MOVING).astype(np.int8), near, axis=0, mode="nearest") > 0
@@ -75,7 +75,7 @@ def guess_contacts(reference: Reference, dt: float) -> tuple[Bools, Bools]:
 
 
 def check_steps(load: Floats, mass: float, file: str) -> None:
-    """Raise LogError if by the starting map no foot's load in N, (N, F), changes as a robot's in kg does."""
+    """Raise LogError unless the load of a foot in N, (N, F), changes as in a step of a robot of this mass."""
     span, weight = float(load_range(load)[1].max()), mass * GRAVITY
     if not SWINGS < span / weight < HARDEST:
         raise LogError(

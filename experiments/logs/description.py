@@ -1,4 +1,4 @@
-"""The description of the robot that goes with a log's table, as JSON."""
+"""The description of the robot that belongs to the table of a log, as JSON."""
 
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ from surefoot.calibration.weights.curves import Curves
 from surefoot.experiments.logs.settings import Number, Positive, Settings
 
 _UNITS = {"position_cell_sole": "_m", "mass_below": "_kg", "com_below_sole": "_m"}
-"""What keys end in besides the name of a field of a foot or a sensor."""
+"""Units that are appended to field names of feet and sensors in keys."""
 
 _MAP = ("scale_N_per_count", "offset_N")
 
@@ -22,23 +22,23 @@ _FIELDS = {
     "layout": "layout", "mass_kg": "mass", "nominal": "nominal", "calibrated": "calibrated", "dt_s": "dt",
     "lag_samples": "lag", "seed": "seed", "about": "about",
 }  # fmt: skip
-"""Fields of a log by their keys in the description."""
+"""Fields of :class:`Log` by their keys in the description."""
 
 Seconds = Annotated[Number, Field(ge=0.0, lt=10.0)]
 
 
 class MotionFacts(Settings):
-    """The part ``motion`` of a description: how references are made of joints and IMU."""
+    """The part ``motion`` of a description: how references are computed from joints and IMU."""
 
-    model: Path  # the drawing, MJCF or URDF; paths are from the log's folder
+    model: Path  # MJCF or URDF file; paths are relative to the folder of the log
     torso: str  # its floating body
-    imu: str  # site or body that is fixed to the torso
+    imu: str  # site or body fixed to the torso
     soles: tuple[str, str]  # sites or bodies of the left and of the right sole frame
-    table: Path | None = None  # joints and IMU at a rate of their own, or ``None`` if in the log
-    dt_s: Annotated[Seconds, Field(gt=0.0)] = np.nan  # between two rows of them; by default the log's
-    delay_s: Seconds = 0.0  # how long before their ``time_s`` joints and IMU were measured
-    readings_age_s: Seconds = 0.0  # the same of the feet
-    averaged: bool = False  # whether a row of the IMU is the mean since the row before
+    table: Path | None = None  # separate table of joints and IMU, None if they are in the log
+    dt_s: Annotated[Seconds, Field(gt=0.0)] = np.nan  # step of the joints, by default of the log
+    delay_s: Seconds = 0.0  # time from the measurement of joints and IMU to their ``time_s``
+    readings_age_s: Seconds = 0.0  # the same for the readings of the feet
+    averaged: bool = False  # whether a row of the IMU is the mean since the previous row
     held_rad: dict[str, Number] = Field(default_factory=dict)  # angles of joints without a column
 
     @model_validator(mode="after")
@@ -48,7 +48,7 @@ class MotionFacts(Settings):
         return self
 
     def of_log(self, folder: Path, dt: float) -> "MotionFacts":
-        """Return it with paths from a log's folder and, where it has none, the log's time between rows."""
+        """Return a copy with paths resolved from the folder of a log, and the step of the log as default."""
         found: dict[str, Any] = {"model": folder / self.model}
         if self.table is not None:
             found["table"] = folder / self.table
@@ -85,19 +85,17 @@ def _map(given: Any) -> Parameters:
 
 
 class Description(Settings):
-    """A log's description; other keys than these are left alone."""
+    """The description of a log. Other keys are ignored."""
 
     model_config = ConfigDict(extra="ignore")
 
     format: Literal["surefoot-log"]
     format_version: Literal[1]
     layout: Annotated[FeetLayout, PlainValidator(_layout)]
-    mass_kg: Positive  # as the robot assumes it
-    nominal: Annotated[Parameters, PlainValidator(_map)]  # offsets may be left out: read in the air
+    mass_kg: Positive  # mass of the robot as the robot knows it
+    nominal: Annotated[Parameters, PlainValidator(_map)]  # offsets are optional
     calibrated: Annotated[Parameters, PlainValidator(_map)] | None = None
-    curves: list[Any] | None = (
-        None  # of channels that are not linear, as `surefoot calibrate weights` has them
-    )
+    curves: list[Any] | None = None  # of nonlinear channels, as `surefoot calibrate weights` writes them
     dt_s: Positive = np.nan  # nominal time between rows; by default their median
     lag_samples: Annotated[int, Field(ge=0)] = 0
     seed: int | None = None  # of a simulated walk
@@ -132,17 +130,17 @@ class Description(Settings):
 
     @property
     def straightening(self) -> Curves:
-        """The curves in front of its maps."""
+        """The linearisation curves that are applied before the maps."""
         channels = self.layout.channels
         return Curves.from_plain([None] * channels if self.curves is None else self.curves, channels)
 
     def facts(self) -> dict[str, Any]:
-        """Fields of a log that a description fills."""
+        """Return the fields of a log that the description contains."""
         return {field: getattr(self, key) for key, field in _FIELDS.items()}
 
 
 def describe(log: Any) -> dict[str, Any]:
-    """Return a log's description, for the file's header."""
+    """Return the description of a log for the header of its file."""
     facts = {key: _plain(getattr(log, field)) for key, field in _FIELDS.items()}
     return {"format": "surefoot-log", "format_version": 1, **facts}
 

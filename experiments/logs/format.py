@@ -1,8 +1,9 @@
-"""Logs of walks: one documented table for simulated and real robots; docs/log-format.md lists its columns.
+"""Logs of walks of simulated and real robots. docs/log-format.md documents their columns.
 
-One row a sample of the feet's sensors, as Parquet or CSV, and a description of the robot: in the schema's
-metadata under ``surefoot``, or in ``walk.json`` beside ``walk.csv``. Calibrators never see columns that begin
-with ``truth_``. Beliefs may be made of joint angles, an IMU and a drawing under ``motion`` (extra ``[sim]``).
+A log is a Parquet or CSV table with one row per sample of the foot sensors, and a description of the robot:
+in the metadata of the schema under ``surefoot``, or in ``walk.json`` beside ``walk.csv``. Calibrators never
+read columns that begin with ``truth_``. References can be computed from joint angles, an IMU and a model that
+the description names under ``motion`` (extra ``[sim]``).
 """
 
 import json
@@ -58,42 +59,42 @@ METADATA_KEY = b"surefoot"
 
 @dataclass(frozen=True, eq=False)
 class LogTruth:
-    """The simulator's truth of N samples, which a robot does not know."""
+    """True values of N samples, which only a simulator knows."""
 
-    force: Floats  # of the ground through each channel in N, shape (N, K)
+    force: Floats  # force of the ground on each channel in N, shape (N, K)
     position_sole: Floats  # origins of the sole frames in the world in m, shape (N, 2, 3)
     R_world_sole: Floats  # rotations from the sole frames to the world, shape (N, 2, 3, 3)
-    scale: Floats  # newtons per count of the map that would undo the channels' errors, shape (N, K)
+    scale: Floats  # scale in N per count of the map that corrects the channels' errors, shape (N, K)
     offset: Floats  # offset in N of that map, shape (N, K)
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """N samples of a walk and the facts of the robot."""
+    """N samples of a walk and the description of the robot."""
 
     time: Floats  # of the samples in s, increasing, shape (N,)
     raw: Floats  # readings in counts, shape (N, K); NaN where no sample arrived
-    reference: Reference  # beliefs, N rows in every field; row k describes the feet of row k - ``lag``
+    reference: Reference  # N rows in every field; row k describes the feet of row k - ``lag``
     layout: FeetLayout
-    mass: float  # in kg, as the robot believes
-    nominal: Parameters  # the map that is known of the sensors' type alone, F = c raw + d
-    calibrated: Parameters | None  # that of a calibration from weights before the session
+    mass: float  # in kg, as the robot knows it
+    nominal: Parameters  # the map by the data sheet of the sensors, F = c raw + d
+    calibrated: Parameters | None  # the map from known weights before the session
     dt: float  # time between samples in s
-    lag: int  # samples by which the reference is late, as telemetry is
+    lag: int  # number of samples by which the reference is late
     seed: int | None = None  # of a simulated walk
-    momentum: MomentumReference | None = None  # the same beliefs as momentum, which "moment" prefers
-    truth: LogTruth | None = None  # what the simulator knew
-    about: dict[str, Any] = field(default_factory=dict)  # such as speed and condition; JSON can hold it
+    momentum: MomentumReference | None = None  # the reference as momentum, which "moment" prefers
+    truth: LogTruth | None = None  # only of simulated walks
+    about: dict[str, Any] = field(default_factory=dict)  # further facts as JSON values, such as the speed
     turned: Mapping[str, Callable[[], Reference]] = field(default_factory=dict)
-    """References with one joint's sign turned round, by the joint: of logs whose references were made."""
-    motion: MotionFacts | None = None  # how they were made, of such logs
+    """References with the sign of one joint inverted, by joint, if they were computed from joint angles."""
+    motion: MotionFacts | None = None  # how references were computed from joint angles
 
     def __len__(self) -> int:
         """The number of samples, N."""
         return len(self.time)
 
     def __repr__(self) -> str:
-        """Its subject, on one line."""
+        """Summary on one line."""
         feet = ", ".join(foot.name for foot in self.layout.feet)
         span = f"{self.time[0]:g} to {self.time[-1]:g} s" if len(self) else "empty"
         more = ", with truth" * (self.truth is not None)
@@ -104,11 +105,11 @@ class Log:
 
     @property
     def reference_rows(self) -> NDArray[np.intp]:
-        """The row of ``reference`` that describes each row's feet; the last row where none has come yet."""
+        """The row of ``reference`` that describes the feet of each row, at most the last row."""
         return np.minimum(np.arange(len(self)) + self.lag, len(self) - 1)
 
     def cut(self, rows: slice) -> "Log":
-        """Return the log of some of its rows."""
+        """Return a log of some of the rows."""
         truth = self.truth and LogTruth(**{name: part[rows] for name, part in vars(self.truth).items()})
         return replace(
             self,
@@ -121,7 +122,7 @@ class Log:
         )
 
     def to_pandas(self) -> Any:
-        """Return a data frame with the columns of the table, one row a sample."""
+        """Return the table as a data frame with one row per sample."""
         import pandas as pd
 
         return pd.DataFrame(columns_of(self))
@@ -130,7 +131,7 @@ class Log:
 def write_log(log: Log, path: str | Path) -> Path:
     """Write a log as ``.parquet``, or as ``.csv`` with its description in ``.json`` beside it.
 
-    Return the path. The file appears only once it is whole. Raises LogError if the path ends otherwise.
+    Returns the path. The file appears only when it is complete. Raises LogError for other endings.
     """
     path = Path(path)
     columns = columns_of(log)
@@ -155,15 +156,20 @@ def read_log(
     *,
     feet_alone: bool = False,
 ) -> Log:
-    """Read a log that does not mislead a calibrator: a ``.parquet`` file, or ``.csv`` with its ``.json``.
+    """Read and check a log: a ``.parquet`` file, a ``.csv`` file with its ``.json``, or a ROS bag.
 
-    A ROS bag is read as well, with its ``.json`` and the mapping file ``topics``, by default
-    ``.topics.toml`` beside it. A ``.toml`` beside a table has names and units of its columns, and further
-    tables. Two rows may be ``max_gap`` s apart; with infinity gaps are left for a
-    calibrator to flag, which then keeps what it learnt and starts its filters again. With ``feet_alone`` a
-    log may lack all references: insoles, plates and boards know nothing of a robot. Raises LogError, which
-    names file, column and cure, if the file is not there or no log, a column is missing or holds what it must
-    not, or time leaps.
+    A ``.toml`` file beside a table gives names and units of its columns, and further tables.
+
+    Args:
+        path: The log.
+        max_gap: Longest time between two rows in s. With infinity, gaps are accepted: the calibrator flags
+            them, keeps its parameters and starts its filters again.
+        topics: Mapping file of a bag, by default ``.topics.toml`` beside it.
+        feet_alone: Whether a log may lack all references, such as those of insoles, plates and boards.
+
+    Raises:
+        LogError: If the file does not exist or is not a log, a column is missing or has invalid values, or
+            there are gaps in time. The message names the file, the column and the remedy.
     """
     path = Path(path)
     description, table, moved, averaged = _read_sources(path, None if topics is None else Path(topics))
@@ -206,12 +212,12 @@ def read_log(
         facts["nominal"] = _tare_map(facts["nominal"], raw[: len(swing)], swing, layout, path.name)
     truth = LogTruth(**fields_of(values, layout, "truth")) if "truth" in kinds else None
     del table, moved, values
-    pa.default_memory_pool().release_unused()  # as large as the log, and of no use to NumPy
+    pa.default_memory_pool().release_unused()  # pyarrow would keep as much memory as the log needs
     return Log(time=time, raw=raw, reference=reference, truth=truth, **facts)
 
 
 def _kinds_in(table: LogTable, kinds: list[str]) -> list[str]:
-    """Return the kinds of columns, by the beginning of their names, that a table has."""
+    """Return those kinds of columns, named by their prefix, that a table contains."""
     return [kind for kind in kinds if any(name.startswith(f"{kind}_") for name in table.names)]
 
 
@@ -220,9 +226,9 @@ def _names_of_kinds(layout: FeetLayout, kinds: list[str]) -> list[str]:
 
 
 def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTable, LogTable | None, bool]:
-    """Read a log's description, its table, and that of the robot's motion if it has rows of its own.
+    """Read a log's description, its table, and the table of the robot's motion if it is separate.
 
-    Return as well whether a row of the IMU is the mean since the row before.
+    Also return whether a row of the IMU is the mean since the previous row.
     """
     moved: LogTable | None = None
     if is_bag(path):
@@ -254,7 +260,7 @@ def _read_sources(path: Path, topics: Path | None) -> tuple[Description, LogTabl
 
 
 def _tare_map(nominal: Parameters, raw: Floats, swing: Any, layout: FeetLayout, file: str) -> Parameters:
-    """Return a map with the offsets that make channels read nothing while their foot swings."""
+    """Return a map whose offsets make the median force of each channel zero while its foot swings."""
     offset = np.full(layout.channels, np.nan)
     for i, name in enumerate(raw_names_of(layout)):
         foot = int((layout.wrench_map[:, :, i] != 0.0).any(axis=1).argmax())
@@ -273,13 +279,13 @@ ALONE = "Feet alone, without references, can be calibrated by --method tare or n
 
 
 Found = tuple[Reference, dict[str, Any], dict[str, Any]]
-"""A reference, further fields of its log, and what is about it."""
+"""A reference, further fields of the log, and entries of ``about``."""
 
 
 def _refer_to_feet(table: LogTable, raw: Floats, facts: dict[str, Any]) -> Found:
-    """Return a reference that knows contacts alone: feet lie level, and nobody moves.
+    """Return a reference of level feet that contains only contacts.
 
-    Contacts that the log does not hold are guessed from the load.
+    Contacts are estimated from the load if the log does not contain them.
     """
     layout = facts["layout"]
     feet = len(layout.feet)
@@ -350,7 +356,7 @@ def _make_beliefs(
 
 
 def _description(path: Path, metadata: Any) -> Any:
-    """Read the description in the metadata of a Parquet file, or beside the file."""
+    """Read the description from the metadata of a Parquet file, or from the ``.json`` beside the file."""
     side, text = path, (metadata or {}).get(METADATA_KEY)
     if text is None:
         side = path.with_suffix(".json")

@@ -1,4 +1,4 @@
-"""A first mapping file for a ROS bag: which fields of which topics are probably which columns."""
+"""Propose a mapping file for a ROS bag, with the probable column of each field."""
 
 import json
 import re
@@ -24,14 +24,14 @@ AXES = {
         for axis in "xyz"
     ),
 }
-"""Columns of an IMU, of a walk and of in-situ sets."""
+"""Columns of an IMU for walks (True) and for in-situ sets (False)."""
 
 
 def guess_topics(path: Path, *, walk: bool) -> str:
-    """Return a mapping file for ``calibrate walk`` or ``calibrate ft``, as TOML.
+    """Return a mapping file for ``calibrate walk`` or ``calibrate ft`` as TOML.
 
-    Channels of a walk have the names of the layout in the ``.json`` beside the bag if it has as many, and
-    else numbers. Raises LogError if there is no whole bag.
+    Channels of a walk are named as in the layout of the ``.json`` file beside the bag if their number agrees,
+    otherwise they are numbered. Raises LogError if the bag is incomplete.
     """
     firsts: dict[str, Any] = {}  # messages, by topic
     joints: dict[str, dict[str, None]] = {}  # names of the joints of all messages in order, by topic
@@ -93,5 +93,5 @@ def _names(path: Path, channels: int, walk: bool, driver: bool) -> list[str]:
 
 
 def _key(name: str) -> str:
-    """Return a key as TOML has it."""
+    """Return a name as a TOML key."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)

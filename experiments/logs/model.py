@@ -1,8 +1,8 @@
-"""A robot's drawing, made ready for joint angles and an IMU, and references made with it.
+"""Compute references from joint angles, an IMU and the model of a robot.
 
-Any MJCF or URDF file with a floating body that carries the IMU, hinges and two soles (sites or bodies) will
-do. Beliefs are those of :mod:`surefoot.robot.beliefs`, packet by packet, but none is late; rows of a fast
-link are joined as there.
+The model is an MJCF or URDF file with a floating body that carries the IMU, hinges, and two soles (sites or
+bodies). State estimation is that of :mod:`surefoot.robot.beliefs`, packet by packet but without delay. Rows
+of a fast link are joined as there.
 """
 
 from math import ceil
@@ -26,11 +26,11 @@ from surefoot.robot.model_file import ModelPartError, nominal_model, read_spec, 
 from surefoot.sensors.telemetry.computer import TelemetryLayout
 from surefoot.sensors.transport.link import Packet
 
-POSTURES, MOVES = 8, 1e-3  # postures that are looked at; move of a sole in m, or of its axes, that counts
+POSTURES, MOVES = 8, 1e-3  # number of postures that are compared; least motion of a sole in m, or of its axes
 
 
 def load_model(facts: MotionFacts, file: str) -> tuple[NominalModel, Floats]:
-    """Load a drawing as the robot's own model, and the rotation from the IMU's axes to the torso's, (3, 3).
+    """Load the model of a robot, and the rotation from the axes of the IMU to those of the torso, (3, 3).
 
     Raises LogError if it cannot be read, lacks a part, or does not consist of a floating body and hinges.
     """
@@ -51,7 +51,7 @@ def load_model(facts: MotionFacts, file: str) -> tuple[NominalModel, Floats]:
 
 
 def moving_soles(model: NominalModel, joint: Floats) -> list[str]:
-    """Return the joints whose sign matters to where the soles are, in a few of the postures (M, J)."""
+    """Return the joints whose sign affects the places of the soles in some of the postures (M, J)."""
     still = np.zeros(joint.shape[1]), np.zeros(3)
     found = []
     for i, name in enumerate(model.joint_names):
@@ -66,12 +66,12 @@ def moving_soles(model: NominalModel, joint: Floats) -> list[str]:
 
 
 FASTER, FAST = 15.0, 0.3
-"""A gyroscope that turns this many times faster than the robot on its soles, and by more rad/s than this, is
-in other units: degrees are 57 times as many."""
+"""A gyroscope is in other units if it reads this many times the rotation of the torso over the soles, and
+more than this rotation in rad/s. Degrees give 57 times as much."""
 
-APART = 0.1  # time in s over which turning is taken
-AHEAD = 3  # joined rows of motion after a moment that differences and interpolation may need
-NEEDED = 2  # joined rows that a moment must have before and behind it
+APART = 0.1  # time in s over which rotations are computed
+AHEAD = 3  # number of joined rows after a moment that differences and interpolation need
+NEEDED = 2  # number of joined rows that are needed before and after a moment
 
 
 def make_beliefs(
@@ -83,16 +83,17 @@ def make_beliefs(
     layout: FeetLayout,
     dt: float,
 ) -> tuple[Reference, MomentumReference]:
-    """Make beliefs for times of the feet in s, (N,), ``dt`` s apart; NaN where joints and IMU do not reach.
+    """Compute references for times of the feet in s, (N,), ``dt`` s apart; NaN where there is no motion.
 
-    They are accelerations, and momentum. Contacts are left open. The drawing's angular momentum is scaled to
-    the log's mass in kg. What touches the ground are the feet's cells, or the origin of the sole.
+    The results are a reference with accelerations and one with momentum, both without contacts. The angular
+    momentum of the model is scaled to the mass of the log in kg. The contact points are the cells of the
+    feet, or the origins of the soles.
     """
     where = TelemetryLayout(len(model.joint_names))
     link, joined = (motion.period, 0.0, facts.averaged), packets_per_join(motion.period)
     touching = touching_points(layout)
     python = MomentumBeliefs(Beliefs(model, where, *link, dt=dt, joined=joined, touching=touching))
-    beliefs = native_beliefs(python)  # the library is ten times as fast, with the same numbers to rounding
+    beliefs = native_beliefs(python)  # ten times as fast, and equal up to rounding
     moments = time - facts.readings_age_s
     place = np.searchsorted(motion.time, moments)
     known = _has_neighbours(motion, place, python.beliefs.filled, joined)
@@ -122,9 +123,9 @@ def make_beliefs(
 
 
 def _has_neighbours(motion: Motion, place: NDArray[np.intp], filled: int, joined: int) -> NDArray[np.bool_]:
-    """Return which moments lie among rows between which no more rows are lost than beliefs fill in.
+    """Return which moments have neighbouring rows without longer gaps than state estimation fills.
 
-    So many rows are ``joined`` into one.
+    ``joined`` is the number of rows that are joined into one.
     """
     first, last = place - NEEDED * joined, place + NEEDED * joined - 1
     inside = (first >= 0) & (last < len(motion.number))
@@ -134,7 +135,7 @@ def _has_neighbours(motion: Motion, place: NDArray[np.intp], filled: int, joined
 
 
 def check_spin(motion: Motion, model: NominalModel, file: str) -> None:
-    """Raise LogError if a gyroscope is far faster than the torso over the sole that turns less under it."""
+    """Raise LogError if a gyroscope reads far more than the rotation of the torso over the steadier sole."""
     stride = max(round(APART / motion.period), 1)
     still = np.zeros(motion.joint.shape[1]), np.zeros(3)
     axes = np.array([model.evaluate(joint, *still)[3] for joint in motion.joint[::stride]])

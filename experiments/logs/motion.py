@@ -1,4 +1,4 @@
-"""Joint angles and IMU in place of references: the columns of such a log, or of a table beside it."""
+"""Joint angles and IMU data from which references are computed, in a log or in a table beside it."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -13,46 +13,45 @@ from surefoot.experiments.logs.columns import stack
 from surefoot.experiments.logs.description import MotionFacts
 from surefoot.experiments.logs.table import LogError, LogTable
 
-CLOCK_SPAN = 257  # rows over which times are averaged: the rate is even, but lateness is chance
+CLOCK_SPAN = 257  # number of rows over which times are averaged, because delays are random
 
 LOST, AROUND, FEWEST = 1.5, 16, 4
-"""A step of this many periods or more between two rows may mean that rows in between were lost: they were if
-as many rows after it, or the fewest that tell, are later than those before by most of a period, both by their
-lower quartiles."""
+"""Rows may be lost where two rows are LOST periods apart or more. They are lost if the lower quartile of the
+delays of the next AROUND rows (at least FEWEST) exceeds that of the rows before by most of a period."""
 
-PACKET = "packet"  # a column that numbers the packets, where the robot does
-LARGEST_ANGLE = 2.1 * np.pi  # joint angle in rad that no hinge goes beyond
-LARGEST_FORCE, LARGEST_SPIN = 500.0, 100.0  # m/s^2 and rad/s beyond which a row of an IMU is wrong
-LARGEST_VALUE = 1e9  # what no sensor reads in any unit
+PACKET = "packet"  # optional column with the number of the packet
+LARGEST_ANGLE = 2.1 * np.pi  # largest angle of a hinge in rad
+LARGEST_FORCE, LARGEST_SPIN = 500.0, 100.0  # largest valid readings of an IMU in m/s^2 and rad/s
+LARGEST_VALUE = 1e9  # larger values are errors in every unit
 
 ACCELEROMETER = tuple(f"accelerometer_{axis}_m_s2" for axis in "xyz")
 GYROSCOPE = tuple(f"gyroscope_{axis}_rad_s" for axis in "xyz")
 
 
 class Motion(NamedTuple):
-    """Joints and IMU over M rows at an even rate, some of which may be missing."""
+    """Joints and IMU in M rows at an even rate. Rows may be missing."""
 
-    number: NDArray[np.int64]  # of each row, counted in periods, shape (M,)
-    time: Floats  # in s on the clock of the feet, without the chance in its lateness, shape (M,)
+    number: NDArray[np.int64]  # number of each row in periods, shape (M,)
+    time: Floats  # in s on the clock of the feet, without jitter, shape (M,)
     period: float  # between two numbers in s
     joint: Floats  # angles of the model's hinges in rad, shape (M, J)
     accelerometer: Floats  # specific force in m/s^2, in the axes of the IMU or the torso, shape (M, 3)
     gyroscope: Floats  # in rad/s, in the same axes, shape (M, 3)
 
     def turn(self, joint: int) -> "Motion":
-        """Return it with the sign of one joint turned round."""
+        """Return a copy with the sign of one joint inverted."""
         angles = self.joint.copy()
         angles[:, joint] *= -1.0
         return self._replace(joint=angles)
 
     def rotate(self, R_torso_imu: Floats) -> "Motion":
-        """Return it with the IMU's vectors in the torso's axes."""
+        """Return a copy with the vectors of the IMU in the axes of the torso."""
         force, spin = (part @ R_torso_imu.T for part in (self.accelerometer, self.gyroscope))
         return self._replace(accelerometer=force, gyroscope=spin)
 
 
 def read_motion(table: LogTable, facts: MotionFacts, joints: Sequence[str]) -> Motion:
-    """Return joints (the model's, in order) and IMU of a table, without rows that lack one; or LogError."""
+    """Return the joints of the model, in order, and the IMU from a table, without incomplete rows."""
     file = table.file
     unknown = [name for name in facts.held_rad if name not in joints]
     if unknown:
@@ -98,7 +97,7 @@ def _rows_within(values: dict[str, Floats], limits: Mapping[str, float], file: s
 def _clock(
     time: Floats, packet: Floats | None, facts: MotionFacts, file: str
 ) -> tuple[NDArray[np.int64], Floats, float]:
-    """Return numbers of the rows, their times without chance, and the period."""
+    """Return the numbers of the rows, their times without jitter, and the period."""
     if packet is None:
         number = count_rows(time, facts.dt_s)
     else:
@@ -120,19 +119,19 @@ def _clock(
 
 
 def even_times(time: Floats, number: NDArray[np.int64]) -> tuple[Floats, float]:
-    """Return times of numbered rows without the chance in their lateness, and the period."""
+    """Return the times of numbered rows without jitter, and the period."""
     period = float(np.polyfit(number, time, 1)[0])
     late = uniform_filter1d(time - period * number, CLOCK_SPAN, mode="reflect")
     return np.asarray(period * number + late, dtype=np.float64), period
 
 
 def count_rows(time: Floats, period: float) -> NDArray[np.int64]:
-    """Return numbers of the rows: the next rows make up for a late one, and not for a lost one."""
+    """Number the rows. A lost row shifts all later rows, a late one does not."""
     number = np.arange(len(time))
     for row in (np.flatnonzero(np.diff(time) >= LOST * period) + 1).tolist():
         first, last = max(row - AROUND, 0), min(row + AROUND, len(time))
         late = time[first:last] - period * number[first:last]
-        # By the earlier rows, which later losses leave alone.
+        # Delays of earlier rows are not affected by later losses.
         before, after = late[: row - first], late[row - first :]
         jump = float(np.quantile(after, 0.25) - np.quantile(before, 0.25))
         if jump > 0.75 * period and min(len(before), len(after)) >= FEWEST:
@@ -141,7 +140,7 @@ def count_rows(time: Floats, period: float) -> NDArray[np.int64]:
 
 
 def even_rows(time: Floats, packet: Floats | None = None) -> tuple[NDArray[np.int64], Floats]:
-    """Return numbers of rows and their times without chance, or as they are if their rate is not even."""
+    """Return numbers of rows and their times without jitter, or unchanged times if the rate is not even."""
     period = float(np.median(np.diff(time)))
     number = count_rows(time, period) if packet is None else (packet - packet[0]).astype(np.int64)
     if len(time) > FEWEST and (np.diff(number) > 0).all():
@@ -152,11 +151,10 @@ def even_rows(time: Floats, packet: Floats | None = None) -> tuple[NDArray[np.in
 
 
 def means_since(time: Floats, values: Floats, rows: Floats, averaged: bool, longest: float) -> Floats:
-    """Return the mean of a sensor since the row before at times of other rows in s, (N,); NaN where unknown.
+    """Return means of a sensor between the times of other rows in s, (N,), NaN where unknown.
 
-    Each of its M own values is at an instant or, if ``averaged``, the mean since the one before. The mean
-    loses nothing of a faster sensor: vibrations do not alias. Values that were lost are filled in linearly,
-    over at most ``longest`` s.
+    Each of the M values of the sensor is instantaneous or, if ``averaged``, a mean since the previous value.
+    Averaging prevents aliasing of vibrations. Lost values are interpolated over at most ``longest`` s.
     """
     number, even = even_rows(time)
     every = np.arange(number[-1] + 1)

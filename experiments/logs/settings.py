@@ -1,4 +1,4 @@
-"""A TOML or JSON file beside a table: the types of fields define its values."""
+"""Base class of the settings in TOML and JSON files. The types of its fields define the valid values."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Self
@@ -26,11 +26,11 @@ _WORDS = {
     "model_type": "must be a table of keys with values",
     "too_short": "needs at least {min_length}, and has {actual_length}",
 }
-"""What is said of some errors in place of pydantic's words, by their types."""
+"""Messages for some errors in place of those of pydantic, by the type of the error."""
 
 
 class Settings(BaseModel):
-    """A table of keys; one that is not a field is refused: misspelt, it would leave a default standing."""
+    """A table of keys. Unknown keys are errors, because a misspelt key would silently keep a default."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", arbitrary_types_allowed=True, coerce_numbers_to_str=True
@@ -46,12 +46,12 @@ class Settings(BaseModel):
 
     @classmethod
     def read(cls, given: Any, where: str) -> Self:
-        """Return the settings that a file states; LogError names file, key, flaw and value."""
+        """Return the settings of a file; LogError names the file, the key, the rule and the value."""
         try:
             return cls.model_validate(given)
         except ValidationError as error:
             first = error.errors()[0]
-            # Where a key may hold one of several kinds, pydantic puts the kind's name into its place.
+            # For unions, pydantic adds the name of the type to the location.
             key = ".".join(str(part) for part in first["loc"] if "[" not in str(part))
             value = first["input"]
             words = _WORDS.get(first["type"], first["msg"].removeprefix("Value error, ").rstrip("."))
@@ -61,7 +61,7 @@ class Settings(BaseModel):
 
 
 def must_be(what: str, holds: Callable[[Any], Any]) -> AfterValidator:
-    """Make a validator that refuses values of which something does not hold."""
+    """Make a validator that refuses values for which ``holds`` is false."""
 
     def check(value: Any) -> Any:
         if not holds(value):
@@ -72,7 +72,7 @@ def must_be(what: str, holds: Callable[[Any], Any]) -> AfterValidator:
 
 
 def array_of(*shape: int | None) -> PlainValidator:
-    """Make a validator of finite arrays of a shape, in which ``None`` is any length."""
+    """Make a validator of finite arrays of a shape. ``None`` stands for any length."""
 
     def check(value: Any) -> Floats:
         try:

@@ -1,4 +1,4 @@
-"""Tables of logs: the named columns of a Parquet or CSV file as numbers, or the reason why not."""
+"""Tables of logs: named columns of Parquet and CSV files as numbers."""
 
 import codecs
 import re
@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from surefoot.arrays import Floats
 from surefoot.experiments.logs.clock import read_clock
 
-_SHOWN, _LISTED = 4, 24  # missing columns, and columns of a file, that a message names
+_SHOWN, _LISTED = 4, 24  # largest number of missing columns, and of existing columns, in a message
 
 _KINDS = {
     b"\x89PNG": "is a PNG picture",
@@ -24,21 +24,21 @@ _KINDS = {
     b"PK\x03\x04": "is a ZIP archive or a spreadsheet",
     b"\x1f\x8b": "is a gzip archive",
 }
-"""What files begin with that are no text."""
+"""First bytes of files that are not text."""
 
-_HEAD = 1 << 16  # bytes from which a table is judged
-_LARGEST = 1 << 32  # bytes of numbers: 60 columns at 1 kHz for two hours; a kilobyte of Parquet may hold them
+_HEAD = 1 << 16  # bytes at the start of a file from which its format is determined
+_LARGEST = 1 << 32  # largest unpacked size in bytes: 60 columns at 1 kHz for two hours
 _SEPARATORS = (",", ";", "\t")
-_COMMENT, _SEP = re.compile(r"#\s*"), re.compile("sep=.?$")  # beginnings of comments, Excel's separator line
-_NO_TEXT = re.compile("[\x00-\x08\x0e-\x1f]")  # control characters that no line of text has
+_COMMENT, _SEP = re.compile(r"#\s*"), re.compile("sep=.?$")  # start of a comment, separator line of Excel
+_NO_TEXT = re.compile("[\x00-\x08\x0e-\x1f]")  # control characters that do not occur in text
 
 
 class LogError(ValueError):
-    """A log that cannot be used; the message names the file, the column and the cure."""
+    """A log cannot be used. The message names the file, the column and the remedy."""
 
 
 def join_names(names: Sequence[str], columns: int = 1) -> str:
-    """Return the names of columns as a message has them; the table may have more columns than those."""
+    """Return the names of columns for a message. ``columns`` is the number of columns of the table."""
     shown = ", ".join(f"'{name}'" for name in names[:_LISTED])
     shown += f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     alone = " (if the separator is none of ',', ';' and tab, say csv.separator)"
@@ -47,11 +47,11 @@ def join_names(names: Sequence[str], columns: int = 1) -> str:
 
 @dataclass(frozen=True, eq=False)
 class LogTable:
-    """The columns of one file, which messages name."""
+    """The columns of one file. Messages name the file."""
 
     file: str
     data: pa.Table
-    notices: tuple[str, ...] = ()  # what was done to get it
+    notices: tuple[str, ...] = ()  # about conversions while the file was read
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a column of that name."""
@@ -68,7 +68,7 @@ class LogTable:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the columns of counts, ``raw_<channel>_count``."""
+        """Names of the columns of readings, ``raw_<channel>_count``."""
         return tuple(name for name in self.names if re.fullmatch("raw_.+_count", name))
 
     @property
@@ -77,7 +77,7 @@ class LogTable:
         return read_clock(self.numbers("time_s")).step
 
     def require(self, names: Sequence[str], cure: str, purpose: str = "") -> tuple[str, ...]:
-        """Return names of columns; raise LogError with their purpose and a cure if one is not there."""
+        """Return names of columns; raise LogError with their purpose and a remedy if one is missing."""
         missing = [name for name in names if name not in self]
         if missing:
             more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
@@ -86,7 +86,7 @@ class LogTable:
         return tuple(names)
 
     def numbers(self, name: str, *, flags: bool = False) -> Floats:
-        """Return a column as floats, NaN where empty, (rows,); LogError at anything else but flags."""
+        """Return a column as floats, (rows,), NaN where empty; LogError for text, or flags unless allowed."""
         column = self.data.column(name)
         kind = column.type
         if pa.types.is_null(kind):
@@ -127,7 +127,7 @@ class LogTable:
 _TIME_OF_DAY = re.compile(
     r"(?:[\d./-]+[T ]+)?(?:(?P<h>\d{1,2}):)?(?P<m>\d{1,2}):(?P<s>\d{1,2}(?:[.,]\d+)?)\s*(?P<half>[AaPp][Mm])?"
 )
-"""A time of day, perhaps behind a date, which is not needed: the clock of a log continues at midnight."""
+"""A time of day, optionally after a date, which is ignored because the clock continues at midnight."""
 
 
 def _seconds(clock: re.Match[str]) -> float:
@@ -141,10 +141,10 @@ def _seconds(clock: re.Match[str]) -> float:
 def read_table(
     path: Path, absent: str, *, separator: str | None = None, decimal: str | None = None
 ) -> LogTable:
-    """Read a ``.parquet`` or ``.csv`` file, or raise LogError; ``absent`` is said where there is none.
+    """Read a ``.parquet`` or ``.csv`` file, or raise LogError, with the hint ``absent`` if there is no file.
 
-    A CSV file may be in UTF-8, UTF-16 or Latin-1. Its separator and decimal point are those of its first
-    lines, unless they are given.
+    A CSV file may be in UTF-8, UTF-16 or Latin-1. By default its separator and decimal point are determined
+    from its first lines.
     """
     if not path.is_file():
         raise LogError(f"{path}: no such file; {absent}")
@@ -178,7 +178,7 @@ def read_table(
 
 
 def _csv_of(path: Path, separator: str | None, decimal: str | None) -> tuple[pa.Table, tuple[str, ...]]:
-    """Read a CSV file, and return notices of lines that are not part of its table."""
+    """Read a CSV file, and return notices about lines that are not part of the table."""
     source, head = _text_of(path)
     form = _find_table(head, separator)
     names = form.names if form.commented else None
@@ -193,7 +193,7 @@ def _csv_of(path: Path, separator: str | None, decimal: str | None) -> tuple[pa.
         return "skip" if last else "error"
 
     parse = csv.ParseOptions(delimiter=form.separator, invalid_row_handler=skip)
-    # An empty cell in a column of names is no name.
+    # An empty cell of a text column is a missing value, not an empty text.
     convert = csv.ConvertOptions(decimal_point=decimal or form.decimal, strings_can_be_null=True)
     data = csv.read_csv(source, read, parse, convert)
     return data, notices + tuple(f"{path.name}: the last row is cut off, and was left out." for _ in cut)
@@ -201,7 +201,7 @@ def _csv_of(path: Path, separator: str | None, decimal: str | None) -> tuple[pa.
 
 def _ends_with(path: Path, row: str) -> bool:
     """Whether the last line of a file is this row."""
-    size = 4 * len(row) + 64  # a character has at most four bytes
+    size = 4 * len(row) + 64  # a character takes at most four bytes
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - size, 0))
         tail = file.read().replace(b"\0", b"").rstrip(b"\r\n")
@@ -209,7 +209,7 @@ def _ends_with(path: Path, row: str) -> bool:
 
 
 def _parquet_of(path: Path) -> pa.Table:
-    """Read a Parquet file; LogError if it unpacks to more than a log has."""
+    """Read a Parquet file; LogError if its unpacked size is too large."""
     with pq.ParquetFile(path) as file:
         rows, columns = file.metadata.num_rows, file.metadata.num_columns
         if 8 * rows * columns > _LARGEST:
@@ -217,13 +217,13 @@ def _parquet_of(path: Path) -> pa.Table:
                 f"{path.name}: {rows} rows of {columns} columns unpack to more than {_LARGEST} bytes; leave "
                 "out columns that are not needed, or cut the log."
             )
-        # Read as a whole, a file takes three times the memory of its columns.
+        # Reading a file at once takes three times the memory of its columns.
         columns = [file.read(columns=[name]).column(0) for name in file.schema_arrow.names]
         return pa.Table.from_arrays(columns, schema=file.schema_arrow)
 
 
 def _text_of(path: Path) -> tuple[Any, str]:
-    """Source for pyarrow in UTF-8, and the beginning of its text; LogError if it is none."""
+    """Return a source in UTF-8 for pyarrow, and the start of its text; LogError if it is not text."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     encoding = _encoding(path, head)
@@ -235,14 +235,14 @@ def _text_of(path: Path) -> tuple[Any, str]:
         raise LogError(f"{path.name}: not a table of text: it {kind}; export the samples as CSV or Parquet.")
     if encoding == "utf-8-sig":
         return path, text
-    # A byte that stands for no letter must not cost the numbers.
+    # Invalid bytes are replaced, so that the numbers can be read.
     return pa.BufferReader(path.read_bytes().decode(encoding, errors="replace").encode()), text
 
 
 def _encoding(path: Path, head: bytes) -> str:
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    # Column names begin with letters of one byte, and the other byte of these is zero.
+    # Column names start with ASCII letters, whose second byte in UTF-16 is zero.
     for first, encoding in (((1, 3), "utf-16-le"), ((0, 2), "utf-16-be")):
         if [i for i, byte in enumerate(head[:4]) if byte == 0] == list(first):
             return encoding
@@ -258,21 +258,21 @@ def _encoding(path: Path, head: bytes) -> str:
 
 
 class _Form(NamedTuple):
-    """How the table of a CSV file is written."""
+    """The layout of the table in a CSV file."""
 
     above: int  # lines above the names, or above the first row if the names are a comment
-    names: list[str]  # of columns, if they were found
-    commented: bool  # whether the names are a comment
-    units: bool  # whether the row below the names holds units
+    names: list[str]  # column names, if they were found
+    commented: bool  # whether the names are in a comment
+    units: bool  # whether the row below the names contains units
     separator: str
     decimal: str
 
 
 def _find_table(head: str, separator: str | None) -> _Form:
-    """Find the names of columns: comments, Excel's line ``sep=;`` and a preamble may be above them.
+    """Find the column names below comments, Excel's line ``sep=;`` and a preamble.
 
-    The names are the first line that has as many cells as most rows, and a row with a number below it. Units
-    may be between the two, and the names may be a comment.
+    The names are the first line that has as many cells as most rows, and a row with a number below it. A row
+    of units may be between the two, and the names may be in a comment.
     """
     lines = [(i, line) for i, line in enumerate(head.splitlines()) if line.strip() and not _SEP.match(line)]
     forms = [_find_names(lines, one) for one in ([separator] if separator else _SEPARATORS)]
@@ -292,7 +292,7 @@ def _find_names(lines: list[tuple[int, str]], separator: str) -> _Form:
     words = [len(row) == width and any(row) and not any(map(_is_number, row)) for row in rows]
     for k, (is_words, is_numbers) in enumerate(zip(words, numbers[1:], strict=False)):
         if is_words and is_numbers:
-            # Units are shorter than the names above them; a line of a preamble is not.
+            # Units are shorter than the names above them. A line of a preamble is not.
             units = k > 0 and words[k - 1] and len("".join(rows[k])) < len("".join(rows[k - 1]))
             first = k - units
             commented = _COMMENT.match(lines[first][1]) is not None
@@ -301,7 +301,7 @@ def _find_names(lines: list[tuple[int, str]], separator: str) -> _Form:
 
 
 def _without_names(lines: list[tuple[int, str]], separator: str | None) -> _Form:
-    """Take the first line that is not a comment for the names, which the reader will judge."""
+    """Use the first line that is not a comment as names. The reader reports errors in it."""
     above, first = next(((i, line) for i, line in lines if not _COMMENT.match(line)), (0, ""))
     names = re.sub('"[^"]*"', "", first)
     return _Form(above, [], False, False, separator or max(_SEPARATORS, key=names.count), ".")
@@ -312,12 +312,12 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _is_number(cell: str) -> bool:
-    """Whether a cell begins as a number or a time does."""
+    """Return whether a cell starts like a number or a time."""
     return re.match(r"[-+.,]?\d", cell) is not None
 
 
 def _decimal_of(lines: list[str], separator: str) -> str:
-    """Return the decimal point by the rows of a table."""
+    """Determine the decimal point from the rows of a table."""
     cells = [cell.strip('" ') for line in lines for cell in line.split(separator)]
     comma = separator != "," and any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", cell) for cell in cells)
     return "," if comma else "."

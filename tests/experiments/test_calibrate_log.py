@@ -267,10 +267,10 @@ def test_a_channel_that_is_out_is_a_notice(log: Log, tmp_path: Path, no_page: No
     raw[:, 6] = 8_000_000.0
     result = calibrate(dataclasses.replace(log, raw=raw), tmp_path)
     assert result.notices[:2] == (
-        "walk.csv (all along): Column 'raw_left_front_right_count' holds no reading. Check its cable and its "
-        "name.",
-        "walk.csv (all along): 'raw_right_rear_left_count' is 8000000 in all readings from then on, while "
-        "others move. Check its cable and its converter.",
+        "walk.csv (all along): Column 'raw_left_front_right_count' contains no reading. Check its cable and "
+        "its name.",
+        "walk.csv (all along): 'raw_right_rear_left_count' stays at 8000000 from then on, while others "
+        "change. Check its cable and its converter.",
     )
     walk = pd.read_parquet(result.walk)
     assert np.isfinite(walk.filter(like="force_")).all(axis=None)

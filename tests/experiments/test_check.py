@@ -109,7 +109,7 @@ def test_what_is_no_log_ends_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("x,y\n1,2\n")
     fails(
         ["check", tmp_path / "a.csv"],
-        "a.csv: holds no column 'raw_<channel>_count'; there are 'x', 'y'. Name yours under "
+        "a.csv: has no column 'raw_<channel>_count'; there are 'x', 'y'. Name yours under "
         "[columns] in a.toml.",
     )
 

@@ -59,7 +59,7 @@ ODD: dict[str, tuple[pd.DataFrame, tuple[str, str, bool]]] = {
     ),
     "a clock that leaps": (
         channels(time_s=TIME + 5.0 * (TIME > 12.5)),
-        ("17.5125 s", "The clock leaps 1 times, by 5.01 s at most.", False),
+        ("17.5125 s", "The clock has 1 gap, the longest of 5.01 s.", False),
     ),
     "packets that came late": (
         channels(time_s=TIME[np.where(np.arange(ROWS) == 900, 896, np.arange(ROWS))]),
@@ -71,21 +71,21 @@ ODD: dict[str, tuple[pd.DataFrame, tuple[str, str, bool]]] = {
     ),
     "no times": (
         channels().drop(columns="time_s"),
-        ("all along", "Rows have no times: rate, noise and drift are not seen.", False),
+        ("all along", "Rows have no times, so rate, noise and drift cannot be measured.", False),
     ),
     "a leap, in seconds since 1970": (
         channels(time_s=1.7e9 + TIME + 5.0 * (TIME > 12.5)),
-        ("1700000017.51 s", "The clock leaps 1 times, by 5.01 s at most.", False),
+        ("1700000017.51 s", "The clock has 1 gap, the longest of 5.01 s.", False),
     ),
     "milliseconds": (
         channels(time_s=1e3 * TIME),
-        ("all along", "Rows come 12.5 s apart, as times in another unit than seconds do.", False),
+        ("all along", "Rows are 12.5 s apart, so times may be in another unit than seconds.", False),
     ),
-    "one row": (channels()[:1], ("all along", "1 row shows nothing of a channel.", True)),
-    "zeros": (channels(raw_a_count=0, raw_b_count=0), ("all along", "No channel ever changes.", True)),
+    "one row": (channels()[:1], ("all along", "1 row is too few for a check.", True)),
+    "zeros": (channels(raw_a_count=0, raw_b_count=0), ("all along", "No channel changes.", True)),
     "nothing": (
         channels(raw_a_count=np.nan, raw_b_count=np.nan),
-        ("all along", "No column holds a reading.", True),
+        ("all along", "No column contains a reading.", True),
     ),
 }
 
