@@ -141,8 +141,8 @@ def _without(mode: modes.Mode) -> dict[str, Any]:
 
 
 PARTS: dict[str, Mapping[str, Any] | Callable[[MomentFilter], dict[str, Any]]] = {
-    "somebody may hold it": _without(modes.HELD),
-    "loads": _without(modes.LOADED),
+    "hands that move": _without(modes.HELD),
+    "steady hands and loads": _without(modes.STEADY),
     "severity by evidence": {"severities": np.ones(4), "first_rate": 1.0},
     "drift's rate by tares": {"rate_share": 0.0, "stated_rate": 1e12, "first_rate": 1.0},
     "zeros of a robot that stands still": {"least_still": 2.0},

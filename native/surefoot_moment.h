@@ -46,10 +46,10 @@
 
 /* Constants by their names in Python: of filter.py, model.py, tare.py, severity.py, health.py, modes.py, motion.py. */
 typedef struct {
-    int components, capacity, held, talks, carries;
+    int components, capacity, held, steady, talks, carries;
     sf_real below[SF_CHANNELS * 3], com_below[SF_FEET * 3]; /* Blocks: W by m/s^2; m */
     int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show a vertical force, and those of it */
-    sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, mass_std, ahead, kept_time, longest_pause, product_time;
+    sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, ahead, kept_time, longest_pause, product_time;
     sf_real largest_error, level, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load, least_cosine;
     sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
@@ -59,7 +59,7 @@ typedef struct {
     sf_real spread_scale[SF_CHANNELS], spread_offset[SF_CHANNELS], unit[SF_CHANNELS];
     sf_real severities[SF_SEVERITIES], likely[SF_SEVERITIES], wide, least_narrower;
     sf_real most_load, least_row, reading_noise;
-    sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES], mode_load[SF_MODES], mode_shift[SF_MODES];
+    sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, least_published;
     sf_real leg_time, spin_time, first_speed, fastest;
     sf_real versus_slack[SF_COMPONENTS], versus_explained, versus_memory, versus_independent, versus_sure;
@@ -78,7 +78,8 @@ typedef struct {
 
 /* TareState */
 typedef struct {
-    sf_real reading[SF_CHANNELS], moved[SF_CHANNELS], time[SF_FEET], sure[SF_FEET], rough[SF_FEET], rate;
+    sf_real reading[SF_CHANNELS], moved[SF_CHANNELS], time[SF_FEET], sure[SF_FEET];
+    sf_real offered[SF_CHANNELS], offer[SF_FEET], rough[SF_FEET], rate;
     sf_whole followed;
 } sf_tares;
 
@@ -573,7 +574,7 @@ SF_API int sf_rounded(int n, int most) {
 /* mix: let modes turn into each other. */
 SF_API void sf_mix(const sf_config *c, const sf_moment_config *m, const sf_modes *s, const sf_moment_rows *rows,
                    sf_modes *out) {
-    int C = m->components, N = sf_states(c, m), mass = sf_momenta(c, m) - 2, com = sf_coms(c, m), wrench = sf_momenta(c, m) + C;
+    int C = m->components, N = sf_states(c, m), wrench = sf_momenta(c, m) + C;
     sf_real turning[SF_MODES][SF_MODES];
     for (int i = 0; i < SF_MODES; i++) {
         sf_real leaves = 0;
@@ -590,7 +591,6 @@ SF_API void sf_mix(const sf_config *c, const sf_moment_config *m, const sf_modes
             share[i] = turning[i][j] * s->chance[i] / chance;
             sf_copy(away[i], s->mean + i * N, N);
             if (i != j) memset(away[i] + wrench, 0, (size_t)C * sizeof(sf_real));
-            if (m->mode_load[i] != m->mode_load[j]) away[i][mass] = 0;
             sf_add(mean, share[i], away[i], N);
         }
         for (int i = 0; i < SF_MODES; i++)
@@ -598,27 +598,18 @@ SF_API void sf_mix(const sf_config *c, const sf_moment_config *m, const sf_modes
         for (int r = 0; r < N; r++) {
             sf_real *row = P + r * N, by[SF_MODES], own[SF_MODES];
             for (int i = 0; i < SF_MODES; i++) {
-                int anew = (r >= wrench && i != j) || (r == mass && m->mode_load[i] != m->mode_load[j]);
-                own[i] = anew ? 0 : share[i];
+                own[i] = r >= wrench && i != j ? 0 : share[i]; /* the wrench of another mode starts again */
                 by[i] = share[i] * away[i][r];
             }
             const sf_real *p = s->covariance + r * N, *q = p + N * N, *o = q + N * N;
             for (int k = 0; k <= r; k++)
                 row[k] = own[0] * p[k] + own[1] * q[k] + own[2] * o[k] + by[0] * away[0][k] + by[1] * away[1][k] +
                          by[2] * away[2][k];
-            /* What begins anew goes with nothing. */
-            for (int i = 0; r > mass && r < wrench && i < SF_MODES; i++)
-                if (own[i] > 0 && m->mode_load[i] != m->mode_load[j])
-                    row[mass] -= own[i] * s->covariance[i * N * N + r * N + mass];
         }
         for (int i = 0; i < SF_MODES; i++) {
             if (i == j) continue;
             for (int r = 0; r < C; r++)
                 P[(wrench + r) * N + wrench + r] += share[i] * sf_wrench_variance(m, rows, j, r);
-            if (m->mode_load[i] == m->mode_load[j]) continue;
-            sf_real shift = m->mode_shift[j] - m->mode_shift[i], load = m->mode_load[j];
-            P[mass * N + mass] += share[i] * (m->mass_std * m->mass_std + load * load);
-            for (int k = com; k < com + 2; k++) P[k * N + k] += share[i] * shift * shift;
         }
         sf_mirror(P, N);
     }
@@ -658,11 +649,6 @@ typedef struct {
     sf_real likelihood[SF_MODES], nis;
 } sf_taught;
 
-/* chance_of_load: the chance that a load is not negative: likelihoods are those of such loads alone. */
-SF_API sf_real sf_chance_of_load(const sf_moment_config *m, sf_real mean, sf_real variance) {
-    return variance > 0 ? sf_max((sf_real)(0.5 * erfc(mean / sqrt(2.0 * variance))), m->least_chance) : 1;
-}
-
 /* learn: predict the block's mean momentum in each mode, measure it, and go on to the block's end. */
 SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_modes *s, sf_moment_work *w, sf_taught *out) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m), wrench = at + C, likeliest = 0, good = 1;
@@ -688,22 +674,12 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_mod
                 expected[r * C + k] = sf_dot(predicted + r * N, rows->mean + k * N, N) +
                                       (rows->variance[r * C + k] + rows->walk[r * C + k] / 3);
         }
-        /* What a load weighs is estimated; what the robot itself weighs is only considered, and so is all but the
-           momentum while somebody holds it. */
-        int first = at - 2, last = m->mode_load[j] == 0 ? at - 1 : at - 2;
-        if (j == m->held) first = 0, last = at;
-        sf_real before = m->mode_load[j] > 0 ? sf_chance_of_load(m, mean[at - 2], P[(at - 2) * N + at - 2]) : 1;
+        /* The mass is considered and not estimated. While somebody holds the robot, that holds for everything but its
+           momentum. */
+        int first = j == m->held ? 0 : at - 2, last = j == m->held ? at : at - 1;
         good = sf_moment_update(mean, P, N, C, predicted, innovation, expected, first, last, w->B, &square, &size) && good;
         out->likelihood[j] = (sf_real)-0.5 * (square + size);
         if (j == likeliest) out->nis = square;
-        sf_real lighter = mean[at - 2], *of_mass = P + (at - 2) * N;
-        if (m->mode_load[j] > 0) { /* keep_heavier */
-            out->likelihood[j] += sf_log(sf_chance_of_load(m, lighter, of_mass[at - 2]) / before);
-            if (lighter > 0 && of_mass[at - 2] > 0) {
-                sf_add(mean, -lighter / of_mass[at - 2], of_mass, N);
-                mean[at - 2] = 0;
-            }
-        }
         sf_multiply(end, rows->end, P, C, N, N);
         for (int r = 0; r < C; r++) moved[r] = sf_dot(rows->end + r * N, mean, N) + rows->end_rest[r];
         sf_copy(mean + at, moved, C);
@@ -717,6 +693,13 @@ SF_API int sf_moment_learn(const sf_config *c, const sf_moment_config *m, sf_mod
             for (int i = 0; i < N; i++) P[i * N + at + r] = P[(at + r) * N + i];
     }
     return good;
+}
+
+/* support_probability: the probability that something other than the feet bears a part of the weight. */
+SF_API sf_real sf_support_probability(const sf_config *c, const sf_moment_config *m, const sf_modes *s) {
+    int N = sf_states(c, m), at = N - m->components;
+    sf_real mean = s->mean[m->steady * N + at], variance = s->covariance[(m->steady * N + at) * N + at];
+    return s->chance[m->held] + s->chance[m->steady] * (sf_real)(0.5 * erfc(-mean / sqrt(2.0 * variance)));
 }
 
 /* weigh_modes */
@@ -1148,22 +1131,30 @@ SF_API sf_real sf_log_density(const sf_moment_config *m, const int *channels, in
     return (sf_real)-0.5 * sum;
 }
 
-/* Tare._weigh: the probabilities that a foot in swing is unloaded with the zero in use, that it is unloaded with another
-   one, and that the zero in use is right. */
-SF_API void sf_weigh_swing(const sf_moment_config *m, const int *channels, int count, const sf_real *change,
-                           const sf_real *walked, sf_real rough, sf_real smooth, sf_real sure, sf_real out[3]) {
-    sf_real over = rough / smooth, loaded = m->rough_density, others = 0, sum = 0;
+/* Odds */
+typedef struct {
+    sf_real same, other, right;
+} sf_odds;
+
+/* Tare._weigh: what a foot in swing shows, by changes of its readings since the last tare and since the last swing that
+   was taken for a load, with a variance. */
+SF_API void sf_weigh_swing(const sf_config *c, const sf_moment_config *m, const sf_tares *tare, int foot, const int *channels,
+                           int count, const sf_real *change, const sf_real *repeated, const sf_real *walked, sf_real rough,
+                           sf_odds *out) {
+    sf_real smooth = tare->rough[foot], over = rough / smooth, loaded = m->rough_density, fresh = 0, vertical = 0;
+    sf_real sure = tare->sure[foot] * (1 - m->zero_jump), offer = tare->offer[foot];
     sf_real flat = (sf_real)-0.5 * ((sf_real)count * (over - 1 - sf_log(over)) + sf_power2(sf_log(smooth) / m->noise_spread));
-    sure *= 1 - m->zero_jump;
     for (int i = 0; i < SF_SEVERITIES; i++)
-        others += m->likely[i] * sf_exp(flat + sf_log_density(m, channels, count, change, walked, sf_power2(m->severities[i])));
+        fresh += m->likely[i] * sf_exp(flat + sf_log_density(m, channels, count, change, walked, sf_power2(m->severities[i])));
     for (int k = 0; k < count; k++) {
         loaded /= sf_sqrt(m->loaded[channels[k]]);
-        sum += change[k];
+        vertical += change[k] * c->wrench_map[(foot * 6 + 2) * c->channels + channels[k]];
     }
-    sf_real same = sure * sf_exp(flat + sf_log_density(m, channels, count, change, walked, 0)), other = (1 - sure) * others;
-    sf_real right = same + (sum > 0 ? loaded * sure : 0), total = right + other + loaded * (1 - sure); /* load is never negative */
-    out[0] = same / total, out[1] = other / total, out[2] = right / total;
+    sf_real same = sure * sf_exp(flat + sf_log_density(m, channels, count, change, walked, 0));
+    sf_real other = offer * sf_exp(flat + sf_log_density(m, channels, count, repeated, walked, 0));
+    other += sf_max(1 - sure - offer, 0) * fresh;
+    sf_real right = same + (vertical > 0 ? loaded * sure : 0), total = right + other + loaded * (1 - sure); /* no load is negative */
+    out->same = same / total, out->other = other / total, out->right = right / total;
 }
 
 /* Tare._learn_rate: by how many times sensors drift faster than stated. */
@@ -1229,10 +1220,11 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
                         sf_modes *belief, sf_real *published, sf_tares *tare, sf_moment_work *w, int *wrong) {
     int K = c->channels, good = 1;
     for (int foot = 0; foot < c->feet; foot++) {
-        int channels[SF_CHANNELS], steady[SF_CHANNELS], count = 0, few = 0;
-        sf_real change[SF_CHANNELS], walked[SF_CHANNELS], variance[SF_CHANNELS], sum = 0, odds[3];
-        sf_real before[SF_CHANNELS], asked[SF_CHANNELS], unsure[SF_CHANNELS], last = tare->time[foot];
+        int channels[SF_CHANNELS], steady[SF_CHANNELS], count = 0, few = 0, first = tare->time[foot] < 0;
+        sf_real change[SF_CHANNELS], repeated[SF_CHANNELS], walked[SF_CHANNELS], variance[SF_CHANNELS], vertical = 0;
+        sf_real before[SF_CHANNELS], asked[SF_CHANNELS], unsure[SF_CHANNELS], since = s->time - sf_max(tare->time[foot], 0);
         sf_swing swing;
+        sf_odds odds;
         for (int i = 0; i < K; i++)
             if (c->foot_of_channel[i] == foot && s->faults.lost[i] < (sf_real)0.5) channels[count++] = i;
         sf_read_swing(c, m, s, n, foot, channels, count, &swing);
@@ -1240,25 +1232,26 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
         sf_real smooth = tare->rough[foot] = sf_max(sf_min(tare->rough[foot], swing.rough), 1);
         for (int k = 0; k < count; k++) {
             int i = channels[k];
-            change[k] = last < 0 ? swing.reading[k] : swing.reading[k] - tare->reading[i];
-            walked[k] = 2 * smooth * m->tare_variance[i] / swing.seconds +
-                        tare->rate * tare->rate * m->walk[K + i] * (s->time - last);
-            sum += change[k];
+            change[k] = swing.reading[k] - tare->reading[i];
+            repeated[k] = swing.reading[k] - tare->offered[i];
+            walked[k] = 2 * smooth * m->tare_variance[i] / swing.seconds + tare->rate * tare->rate * m->walk[K + i] * since;
+            vertical += change[k] * c->wrench_map[(foot * 6 + 2) * K + i];
         }
-        sf_weigh_swing(m, channels, count, change, walked, swing.rough, smooth, tare->sure[foot], odds);
-        if (odds[0] + odds[1] < (sf_real)0.5) {
-            tare->sure[foot] = odds[2];
+        sf_weigh_swing(c, m, tare, foot, channels, count, change, repeated, walked, swing.rough, &odds);
+        if (odds.same + odds.other < (sf_real)0.5) {
+            tare->sure[foot] = odds.right, tare->offer[foot] = odds.other;
+            for (int k = 0; k < count; k++) tare->offered[channels[k]] = swing.reading[k];
             continue;
         }
-        int again = last >= 0 && s->time - last > m->least_apart, other = odds[1] > odds[0];
-        if (last >= 0 && other && sum < 0 && tare->sure[foot] <= m->unconfirmed) *wrong = 1;
+        int again = !first && since > m->least_apart, replaced = odds.other > odds.same;
+        if (replaced && !first && vertical < 0 && tare->sure[foot] <= m->unconfirmed) *wrong = 1;
         for (int k = 0; k < count; k++) {
             int i = channels[k];
-            sf_real shown = last < 0 ? swing.reading[k] : tare->reading[i] + tare->moved[i];
-            sf_real noise = smooth * m->tare_variance[i] / swing.seconds + (1 - odds[0] - odds[1]) * m->loaded[i];
+            sf_real shown = first ? swing.reading[k] : tare->reading[i] + tare->moved[i];
+            sf_real noise = smooth * m->tare_variance[i] / swing.seconds + (1 - odds.same - odds.other) * m->loaded[i];
             variance[k] = published[i] * published[i] * noise;
-            /* A zero that jumped says nothing of the time since. */
-            if (last >= 0 && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k]) continue;
+            /* The drift of a zero that jumped is unknown. */
+            if (!first && change[k] * change[k] > m->tare_leap * m->tare_leap * walked[k]) continue;
             steady[few] = i, before[few] = shown, asked[few] = -published[i] * (swing.reading[k] - shown);
             unsure[few++] = variance[k];
         }
@@ -1267,15 +1260,15 @@ SF_API int sf_take_tare(const sf_config *c, const sf_moment_config *m, const sf_
             tare->followed++;
         }
         good = sf_learn_tare(c, m, belief, steady, few, before, asked, unsure, w) && good;
-        if (last >= 0) sf_redefine_drift(c, m, belief, channels, count, swing.reading, variance);
+        if (!first) sf_redefine_drift(c, m, belief, channels, count, swing.reading, variance);
         for (int k = 0; k < count; k++) {
             int i = channels[k];
             published[2 * K + i] = -published[i] * swing.reading[k] - published[K + i];
             tare->reading[i] = swing.reading[k], tare->moved[i] = 0;
         }
-        tare->time[foot] = s->time;
-        if (other) tare->sure[foot] = sf_min(odds[1], m->unconfirmed);
-        else if (again) tare->sure[foot] = odds[0];
+        tare->time[foot] = s->time, tare->offer[foot] = 0;
+        if (replaced) tare->sure[foot] = sf_min(odds.other, m->unconfirmed);
+        else if (again) tare->sure[foot] = odds.same;
     }
     return good;
 }
@@ -1410,7 +1403,7 @@ SF_API void sf_repeat_tares(const sf_config *c, const sf_moment_config *m, sf_mo
 /* MomentFilter.init and _begin_again: know nothing but the readings' faults and what feet in the air showed. */
 SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_real rate,
                             sf_moment_work *w) {
-    int K = c->channels, N = sf_states(c, m), mass = sf_momenta(c, m) - 2;
+    int K = c->channels, N = sf_states(c, m);
     sf_break(c, m, s);
     memset(&s->suspects, 0, sizeof s->suspects);
     memset(&s->versus_start, 0, sizeof s->versus_start);
@@ -1421,9 +1414,8 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
     s->age = s->drifted = 0;
     s->status = 0;
     for (int j = 0; j < SF_MODES; j++) {
-        sf_real *P = s->belief.covariance + j * N * N, load = m->mode_load[j];
+        sf_real *P = s->belief.covariance + j * N * N;
         for (int i = 0; i < N; i++) P[i * N + i] = m->first_variance[i];
-        if (load > 0) P[mass * N + mass] = m->mass_std * m->mass_std + load * load;
         for (int i = 0; i < K; i++) s->belief.mean[j * N + i] = 1;
         s->belief.chance[j] = m->first_chance[j];
     }
@@ -1868,18 +1860,23 @@ SF_API void sf_convict(const sf_config *c, const sf_moment_config *m, sf_moment_
 SF_API int sf_take_rows(const sf_config *c, const sf_moment_config *m, sf_moment_state *s, sf_moment_work *w,
                         int n, const sf_real *published, int *rejected, sf_real *nis) {
     int follows = s->linked && s->track.adrift < m->leg_time;
-    int N = sf_states(c, m), likeliest = 0, good = 1, guilty;
+    int N = sf_states(c, m), wrench = N - m->components, likeliest = 0, good = 1, guilty;
     sf_moment_rows *rows = &w->rows;
     sf_modes *belief = &w->belief;
     sf_priors(c, m, s->drifted, w);
     if (follows) {
-        sf_real step[3], ahead;
+        sf_real step[3], ahead, rest[SF_COMPONENTS];
+        sf_copy(rest, rows->mean_rest, m->components);
         for (int k = 0; k < 3; k++) step[k] = rows->point[k] - s->point[k];
         sf_moment_move(c, m, step, rows->velocity, belief);
         for (int j = 1; j < SF_MODES; j++)
             if (belief->chance[j] > belief->chance[likeliest]) likeliest = j;
         ahead = rows->measured[0] - sf_dot(rows->mean, belief->mean + likeliest * N, N) - rows->mean_rest[0];
+        if (likeliest == m->steady) /* its wrench is known, and no error of the readings */
+            for (int r = 0; r < m->components; r++)
+                rows->mean_rest[r] += sf_dot(rows->mean + r * N + wrench, belief->mean + likeliest * N + wrench, m->components);
         guilty = sf_suspect(c, m, s, n, step, published, likeliest, w);
+        sf_copy(rows->mean_rest, rest, m->components);
         if (guilty != -1) return -3 - guilty;
         *rejected = sf_fabs(ahead) > (sf_real)0.5 * m->largest_error * rows->duration;
     }
@@ -1980,7 +1977,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
             s->status = flag;
         }
         if (!out && !missing) {
-            held = s->belief.chance[m->held] > m->held_chance;
+            held = sf_support_probability(c, m, &s->belief) > m->held_chance;
             sf_copy_published(c, &s->published, &w->published);
             sf_map_covariance(c, m, &s->published, tare.rate, s->covariance);
             sf_copy(s->point, w->rows.point, 3);

@@ -21,10 +21,11 @@ from surefoot.calibration.moment.modes import (
     FIRST_CHANCE,
     FREE,
     MODES,
-    begin,
+    STEADY,
     begin_momentum,
     learn,
     mix,
+    support_probability,
     weigh_modes,
 )
 from surefoot.calibration.moment.motion import Track
@@ -75,7 +76,7 @@ LEAST_READ = 0.25
 """Share of a block's samples that must be read of each channel: chips at 27 Hz read at 80 Hz."""
 
 HELD_CHANCE = 0.9
-"""Chance of being held from which on it is said: one false alarm in ten while nothing is known yet."""
+"""Probability of support above which HELD is set: one false alarm in ten while nothing is known yet."""
 
 
 class MomentFilter:
@@ -138,14 +139,9 @@ class MomentFilter:
     def init(self, raw: Array) -> MomentState:
         """Return the state before any sample; see :class:`~surefoot.calibration.setup.OnlineMethod`."""
         front, columns = self.front_end.init(raw), self.columns
-        means, covariances = [], []
-        for mode in MODES:
-            mean, covariance = self._first_mean.copy(), np.diag(self.first_variance)
-            if mode.load > 0.0:
-                begin(mean, covariance, columns.mass, np.array([self.config.mass_std**2 + mode.load**2]))
-            means.append(mean)
-            covariances.append(covariance)
-        belief = Belief(np.stack(means), np.stack(covariances), FIRST_CHANCE.copy())
+        J = len(MODES)
+        covariance = np.tile(np.diag(self.first_variance), (J, 1, 1))
+        belief = Belief(np.tile(self._first_mean, (J, 1)), covariance, FIRST_CHANCE.copy())
         published = self._weigh(belief, 0.0).publish(belief.chance)
         zero = np.zeros(self._channels)
         tare = self.tare.init()
@@ -327,7 +323,7 @@ class MomentFilter:
             suspects = self.repairs.suspects.read(state.suspects, block.force)
             state = state._replace(suspects=suspects._replace(before=rows.at_end))
         publication = weighed.publish(belief.chance)
-        held = int(Flag.HELD) if belief.chance[1] > HELD_CHANCE else 0
+        held = int(Flag.HELD) if support_probability(belief, self.columns) > HELD_CHANCE else 0
         status = int(Flag.REJECTED) if rejected else held
         state = state._replace(
             belief=belief,
@@ -355,6 +351,10 @@ class MomentFilter:
         )
         likeliest = belief.mean[belief.chance.argmax()]
         ahead = rows.measured[0] - rows.mean[0] @ likeliest - rows.mean_rest[0]
+        if MODES[belief.chance.argmax()] is STEADY:
+            # Its wrench is known, and no error of the readings.
+            wrench = self.columns.wrench
+            rows = rows._replace(mean_rest=rows.mean_rest + rows.mean[:, wrench] @ likeliest[wrench])
         state, wrong = self.repairs.weigh(state, block, rows, published, belief, transition, added)
         return state, belief, wrong, float(ahead)
 
@@ -362,7 +362,7 @@ class MomentFilter:
         self, belief: Belief, rows: Rows, duration: float, drifted: float
     ) -> tuple[Belief, Weighed, float]:
         """Update all modes by a block; return the posterior, its severities, and the NIS."""
-        mixed = mix(belief, rows, self.columns, duration, self.config.mass_std)
+        mixed = mix(belief, rows, self.columns, duration)
         step = learn(mixed, rows, self.columns, duration)
         before = self._severity.evidence(mixed.mean, mixed.covariance, drifted)
         weighed = self._weigh(step.belief, drifted)

@@ -197,7 +197,9 @@ class Model:
         """
         normal, tx, ty = self._wrench_map[:, 2], self._wrench_map[:, 3, None], self._wrench_map[:, 4, None]
         cosine = np.maximum(rotation[..., 2, 2], LEAST_COSINE)[..., None]
-        moment = sole[..., :2, None] * normal[:, None] - rotation[..., :2, :1] * ty + rotation[..., :2, 1:2] * tx
+        moment = (
+            sole[..., :2, None] * normal[:, None] - rotation[..., :2, :1] * ty + rotation[..., :2, 1:2] * tx
+        )
         vertical, moment = normal / cosine, moment / cosine[..., None]
         components: Array = np.stack([vertical, moment[:, :, 1], -moment[:, :, 0]], axis=2).sum(axis=1)
         return components

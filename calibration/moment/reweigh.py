@@ -29,7 +29,11 @@ def reweigh(state: MomentState, fresh: MomentState, share: float, columns: Colum
         shift=state.shift,
         time=state.time,
         drifted=state.drifted,
-        tare=state.tare._replace(reading=share * state.tare.reading, moved=share * state.tare.moved),
+        tare=state.tare._replace(
+            reading=share * state.tare.reading,
+            moved=share * state.tare.moved,
+            offered=share * state.tare.offered,
+        ),
     )
 
 

@@ -18,8 +18,9 @@ under a rolling sole such a foot may bear load. Whether it does is a matter of e
   from the starting map, compared with the offsets expected. A load changes them by any amount, and only upwards.
 
 A row enters with the variance that it may be loaded after all, so that a doubtful tare changes little. The zero
-in use has a probability of its own. A likelier one replaces it, and if the replaced one was too high, which a
-load explains and was never confirmed by another swing, then the filter begins again. From tare to tare the
+in use has a probability of its own, and a likelier one replaces it: readings of a swing that was taken for a
+load become the zero if the next swing repeats them. If a zero that no second swing has confirmed turns out to be
+too high, the foot was loaded, and the filter begins again. From tare to tare the
 readings show how fast zeros drift, and scales are assumed to drift in proportion.
 """
 
@@ -94,14 +95,25 @@ class Tare:
         self._columns, self._unit, self._feet = columns, spread.unit, setup.layout.slices
         self._foot_of_channel = setup.layout.foot_of_channel
         self.variance = (config.tare_noise * spread.unit) ** 2 * NOISE_TIME
-        self.loaded = (MOST_LOAD * spread.unit / np.bincount(self._foot_of_channel)[self._foot_of_channel]) ** 2
+        self.loaded = (
+            MOST_LOAD * spread.unit / np.bincount(self._foot_of_channel)[self._foot_of_channel]
+        ) ** 2
+        self._vertical = setup.layout.wrench_map[:, 2].sum(axis=0)
         self._drift, self._offset, self._block = spread.walk[1], spread.offset, config.block
 
     def init(self) -> TareState:
         """Return the state of feet that have not been in swing yet."""
         zero, feet = np.zeros_like(self._unit), len(self._feet)
         return TareState(
-            zero, zero, np.full(feet, -1.0), np.zeros(feet), np.full(feet, ROUGHEST), FIRST_RATE, 0
+            reading=zero,
+            moved=zero,
+            time=np.full(feet, -1.0),
+            sure=np.zeros(feet),
+            offered=zero,
+            offer=np.zeros(feet),
+            rough=np.full(feet, ROUGHEST),
+            rate=FIRST_RATE,
+            followed=0,
         )
 
     def take(
@@ -130,40 +142,60 @@ class Tare:
         columns, rate, followed, wrong = self._columns, state.rate, state.followed, False
         published, shown, times = published.copy(), state.reading.copy(), state.time.copy()
         moved, sure, rough = state.moved.copy(), state.sure.copy(), state.rough.copy()
+        offered, offer = state.offered.copy(), state.offer.copy()
         for foot, at, swing in self._hanging(block, lost):
             last = times[foot]
             rough[foot] = max(min(rough[foot], swing.rough), 1.0)
             a, noise = published[columns.scale][at], rough[foot] * self.variance[at] / swing.seconds
-            change = swing.reading - shown[at] if last >= 0.0 else swing.reading
-            walked = 2.0 * noise + rate**2 * self._drift[at] * (time - last)
-            same, other, right = self._weigh(at, change, walked, swing.rough, rough[foot], sure[foot])
-            if same + other < 0.5:
-                sure[foot] = right
-                continue
-            wrong = wrong or bool(last >= 0.0 and other > same and change.sum() < 0.0 and sure[foot] <= UNCONFIRMED)
-            before, steady = (swing.reading, np.ones(len(at), bool)) if last < 0.0 else (
-                shown[at] + moved[at], change**2 <= LEAP**2 * walked
+            change = swing.reading - shown[at]
+            walked = 2.0 * noise + rate**2 * self._drift[at] * (time - max(last, 0.0))
+            odds = self._weigh(
+                at,
+                change,
+                swing.reading - offered[at],
+                walked,
+                swing.rough,
+                rough[foot],
+                sure[foot],
+                offer[foot],
             )
-            again = last >= 0.0 and time - last > LEAST_APART
+            if odds.same + odds.other < 0.5:
+                sure[foot], offer[foot], offered[at] = odds.right, odds.other, swing.reading
+                continue
+            first, replaced = last < 0.0, odds.other > odds.same
+            if replaced and not first:
+                wrong = wrong or bool(change @ self._vertical[at] < 0.0 and sure[foot] <= UNCONFIRMED)
+            again = not first and time - last > LEAST_APART
             if again:
                 rate, followed = self._learn_rate(rate, followed, change, walked), followed + 1
-            variance = a**2 * (noise + (1.0 - same - other) * self.loaded[at])
-            belief = self._learn(
-                belief, at[steady], before[steady], (-a * (swing.reading - before))[steady], variance[steady]
-            )
-            if last >= 0.0:
+            # The drift of a zero that jumped is unknown.
+            steady = np.full(len(at), first) | (change**2 <= LEAP**2 * walked)
+            before = swing.reading if first else shown[at] + moved[at]
+            variance = a**2 * (noise + (1.0 - odds.same - odds.other) * self.loaded[at])
+            asked = -a * (swing.reading - before)
+            belief = self._learn(belief, *(part[steady] for part in (at, before, asked, variance)))
+            if not first:
                 belief = self._redefine(belief, at, swing.reading, variance)
             published[columns.drift.start + at] = -a * swing.reading - published[columns.offset.start + at]
-            shown[at], moved[at], times[foot] = swing.reading, 0.0, time
-            if other > same:
-                sure[foot] = min(other, UNCONFIRMED)
+            shown[at], moved[at], times[foot], offer[foot] = swing.reading, 0.0, time, 0.0
+            if replaced:
+                sure[foot] = min(odds.other, UNCONFIRMED)
             elif again:
-                sure[foot] = same
-        return belief, published, TareState(shown, moved, times, sure, rough, rate, followed), wrong
+                sure[foot] = odds.same
+        state = TareState(shown, moved, times, sure, offered, offer, rough, rate, followed)
+        return belief, published, state, wrong
 
     def _weigh(
-        self, at: NDArray[np.int64], change: Array, walked: Array, rough: float, smooth: float, sure: float
-    ) -> tuple[float, float, float]:
+        self,
+        at: NDArray[np.int64],
+        change: Array,
+        repeated: Array,
+        walked: Array,
+        rough: float,
+        smooth: float,
+        sure: float,
+        offer: float,
+    ) -> "Odds":
         """Weigh what the readings of a foot in swing may be.
 
         Beforehand a foot that its kinematics show in swing is loaded or unloaded with equal probability.
@@ -171,25 +203,24 @@ class Tare:
         Args:
             at: The foot's channels, shape (m,).
             change: Change of their readings since the last tare in W, shape (m,).
-            walked: Variance of that change by drift and noise in W^2, shape (m,).
+            repeated: Change since the last swing that was taken for a load in W, shape (m,).
+            walked: Variance of a change by drift and noise in W^2, shape (m,).
             rough: Roughness of the readings.
             smooth: Roughness without load.
             sure: Probability that the zero in use is right.
-
-        Returns:
-            Probability that the foot is unloaded with the zero in use, that it is unloaded with another zero,
-            and that the zero in use is right.
+            offer: Probability that the swing that was taken for a load showed the zero.
         """
         count, over, sure = len(at), rough / smooth, sure * (1.0 - ZERO_JUMP)
         flat = np.exp(-0.5 * count * (over - 1.0 - np.log(over)) - 0.5 * (np.log(smooth) / NOISE_SPREAD) ** 2)
         spread = walked + np.square(SEVERITIES)[:, None] * self._offset[at]
         same = sure * flat * np.exp(_log_density(change, walked))
-        other = (1.0 - sure) * flat * np.dot(LIKELY, np.exp(_log_density(change, spread)))
+        again = offer * flat * np.exp(_log_density(repeated, walked))
+        new = max(1.0 - sure - offer, 0.0) * flat * np.dot(LIKELY, np.exp(_log_density(change, spread)))
         loaded = ROUGH_DENSITY * np.prod(1.0 / np.sqrt(self.loaded[at]))
         # Load is never negative.
-        right = same + loaded * sure * (change.sum() > 0.0)
-        total = right + other + loaded * (1.0 - sure)
-        return float(same / total), float(other / total), float(right / total)
+        right = same + loaded * sure * (change @ self._vertical[at] > 0.0)
+        total = right + again + new + loaded * (1.0 - sure)
+        return Odds(float(same / total), float((again + new) / total), float(right / total))
 
     def repeat(self, belief: Belief, state: TareState, time: float, lost: Array) -> Belief:
         """Tare the feet once more as they read last, with a belief that knows nothing yet.
@@ -294,6 +325,14 @@ class Tare:
         surprise = float(np.minimum(own / expected, LARGEST_SURPRISE).mean())
         share = max(RATE_SHARE, 1.0 / (followed + STATED_RATE))
         return float(np.clip(rate * np.sqrt(1.0 + share * (surprise - 1.0)), SMALLEST_RATE, LARGEST_RATE))
+
+
+class Odds(NamedTuple):
+    """Probabilities of what a foot in swing shows."""
+
+    same: float  # that it is unloaded and the zero in use is right
+    other: float  # that it is unloaded and the zero in use is wrong
+    right: float  # that the zero in use is right, whether the foot is loaded or not
 
 
 class Swing(NamedTuple):

@@ -149,6 +149,7 @@ def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
     own = {
         **{f"mode_{name}": [getattr(mode, name) for mode in modes.MODES] for name in modes.Mode._fields},
         "held": modes.MODES.index(modes.HELD),
+        "steady": modes.MODES.index(modes.STEADY),
         "versus_slack": core.repairs.versus_start.slack,
         "versus_explained": versus_start.EXPLAINED,
         "versus_memory": versus_start.MEMORY,

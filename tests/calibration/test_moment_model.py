@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from _moment import move
 from _synthetic import DT, LAYOUT, MASS, NOMINAL
-from scipy.stats import norm
 
 from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup
 from surefoot.calibration.moment.blocks import Block
@@ -15,9 +14,7 @@ from surefoot.calibration.moment.model import Model
 from surefoot.calibration.moment.modes import (
     FIRST_CHANCE,
     MODES,
-    chance_of_load,
     combine,
-    keep_heavier,
     mix,
     update,
     wrench_variance,
@@ -204,14 +201,14 @@ def test_modes_keep_their_chance_and_what_they_know():
         variance[columns.wrench] = wrench_variance(mode, rows)
         covariances.append(np.diag(variance))
     belief = Belief(np.stack([mean] * 3), np.stack(covariances), FIRST_CHANCE)
-    mixed = mix(belief, rows, columns, 0.1, CONFIG.mass_std)
+    mixed = mix(belief, rows, columns, 0.1)
     assert mixed.chance.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(mixed.mean, belief.mean)
     for before, after in zip(belief.covariance, mixed.covariance, strict=True):
         assert (np.linalg.eigvalsh(after) >= -1e-15).all()
         np.testing.assert_allclose(after[columns.map, columns.map], before[columns.map, columns.map])
-    # A load comes with a mass that is open, which is nearly as open for who has had it.
-    at = columns.mass.start
+    # A robot that lays a hand on something begins with the prior of that hand's force.
+    at = columns.wrench.start
     assert mixed.covariance[2, at, at] > 20.0 * mixed.covariance[0, at, at]
 
 
@@ -269,30 +266,6 @@ def test_contact_is_likelier_the_more_a_foot_bears():
     assert found[2] < 0.02
     assert found[-3] > 0.99
     assert of(0.0)[1] > 0.999
-
-
-def test_a_load_is_never_negative_and_scales_do_not_shrink_for_it():
-    """What is known of the others follows the mass; what is heavier stays as it is."""
-    covariance = np.array([[0.04, 0.01], [0.01, 0.02]])
-    kept = keep_heavier(np.array([1.0, 0.1]), covariance, 1)
-    np.testing.assert_allclose(kept, (0.95, 0.0))
-    np.testing.assert_array_equal(keep_heavier(np.array([1.0, -0.1]), covariance, 1), (1.0, -0.1))
-
-
-@pytest.mark.parametrize("reading", [-0.3, -0.02, 0.0, 0.02, 0.3])
-def test_the_likelihood_of_a_load_is_that_of_loads_that_are_not_negative(reading):
-    """A mass that is normal and cut at 0, seen with noise, against a sum over all masses."""
-    variance, noise = 0.01, 0.0004
-    mass, step = np.linspace(-1.0, 0.0, 200_001, retstep=True)
-    prior = 2.0 * norm.pdf(mass, 0.0, np.sqrt(variance))
-    exact = float((prior * norm.pdf(reading, mass, np.sqrt(noise))).sum() * step)
-    mean, covariance = update(
-        np.zeros(1), np.eye(1) * variance, np.eye(1), np.array([reading]), np.eye(1) * noise, slice(0)
-    )
-    whole = norm.pdf(reading, 0.0, np.sqrt(variance + noise))
-    ratio = chance_of_load(mean, covariance, 0) / chance_of_load(np.zeros(1), np.eye(1) * variance, 0)
-    # The least chance that a mode keeps stands for all that is less.
-    assert whole * ratio == pytest.approx(exact, rel=1e-3, abs=3e-6)
 
 
 def test_a_hand_that_takes_hold_accuses_no_channel():
