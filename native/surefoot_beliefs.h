@@ -35,8 +35,8 @@
 #define SF_CLOCK_MEMORY 256.0
 #define SF_LARGEST_VALUE ((sf_real)1e3)
 #define SF_CONTACT_MARGIN 4
-#define SF_LIFTED ((sf_real)0.01)
-#define SF_DOWN ((sf_real)0.003)
+#define SF_LIFTED ((sf_real)0.014)
+#define SF_DOWN ((sf_real)0.004)
 #define SF_FLAT ((sf_real)0.03)
 #define SF_COS_FLAT (1 - (sf_real)0.5 * SF_FLAT * SF_FLAT)
 #define SF_LEANING ((sf_real)0.4) /* of gravity */
@@ -394,11 +394,12 @@ SF_API void sf_kinematics_at(const sf_timing *t, sf_beliefs *s, sf_belief *belie
         height[foot] = sf_dot(r->position_sole + 3 * foot, belief->ground, 3) + below;
         low = foot ? sf_min(low, height[foot]) : height[foot];
     }
+    sf_real size = sf_dot(r->com, belief->ground, 3) - low;
     for (int foot = 0; foot < F; foot++) {
-        sf_real above = height[foot] - low, lifted = SF_LIFTED;
+        sf_real above = height[foot] - low, lifted = SF_LIFTED * size;
         for (int n = 0; n < t->points; n++) lifted = sf_max(lifted, t->radius[foot * t->points + n]);
         int flat = t->rolls || slope[foot] > SF_COS_FLAT;
-        int down = carried && above < SF_DOWN && flat, up = carried && above > lifted;
+        int down = carried && above < SF_DOWN * size && flat, up = carried && above > lifted;
         s->found[foot] = down ? s->found[foot] + 1 : 0;
         s->found[F + foot] = up ? s->found[F + foot] + 1 : 0;
         r->stance[foot] = s->found[foot] > SF_CONTACT_MARGIN;

@@ -2,7 +2,9 @@
 
 If the robot plans its steps, the contacts follow from the plan. Otherwise they follow from kinematics: the
 foot with the lowest part is on the ground, unless the robot is in free fall. A foot is in the air if all its
-parts are clearly higher.
+parts are clearly higher. On soft ground, or if the estimated attitude is wrong, such a foot may still bear load.
+The moment filter therefore weighs these contacts against the readings of the foot
+(:mod:`surefoot.calibration.moment.tare`).
 """
 
 from collections import deque
@@ -20,11 +22,11 @@ CONTACT_MARGIN = 4
 """Samples before and after a moment during which a planned stance or swing must last to be certain. Joints
 lag behind their targets, and the ground may be higher or lower than planned."""
 
-LIFTED = 0.01
-"""Height in m of a foot's lowest part above that of the lower foot, above which the foot is in the air. It is
-ten times the error of a one-metre leg with an encoder error of 1e-3 rad."""
+LIFTED = 0.014
+"""Height of a foot's lowest part above that of the lowest foot, as a fraction of the height of the centre of mass,
+above which the foot is in the air. It is fourteen times the error of legs with an encoder error of 1e-3 rad."""
 
-DOWN = 0.003  # the same height, up to which a foot is on the ground
+DOWN = 0.004  # the same fraction, up to which a foot is on the ground
 FLAT = 0.03  # sole tilt in rad above which the foot is rolling and its height is not used
 COS_FLAT = 1.0 - 0.5 * FLAT * FLAT  # cosine of FLAT, to second order
 
@@ -103,7 +105,7 @@ class Kinematics:
         self._places, self._radius = touching[..., :3], touching[..., 3]
         self._free_fall, self._rolls = FREE_FALL * gravity, rolls
         # Load compresses a soft round foot by at most its radius.
-        self._lifted = np.maximum(LIFTED, self._radius.max(axis=1))
+        self._softest = self._radius.max(axis=1)
         self.runs = [0] * (2 * len(touching))
 
     def at(self, reference: Reference, ground: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -123,8 +125,9 @@ class Kinematics:
         fx, fy, fz = reference.accelerometer.tolist()
         # Comparisons with NaN (state unknown) are false.
         carried = fx * fx + fy * fy + fz * fz > self._free_fall**2
-        above = height - height.min()
-        seen = [*(carried & flat & (above < DOWN)).tolist(), *(carried & (above > self._lifted)).tolist()]
+        above, size = height - height.min(), reference.com @ ground - height.min()
+        lifted = np.maximum(LIFTED * size, self._softest)
+        seen = [*(carried & flat & (above < DOWN * size)).tolist(), *(carried & (above > lifted)).tolist()]
         self.runs = [run + 1 if now else 0 for run, now in zip(self.runs, seen, strict=True)]
         return _halves([run > CONTACT_MARGIN for run in self.runs])
 

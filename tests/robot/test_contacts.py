@@ -24,7 +24,7 @@ def believed(left: float, right: float, *, roll: float = 0.0, force: float = 9.8
     none = np.zeros(3)
     tilted = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
     return Reference(
-        com=none,
+        com=np.array([0.0, 0.0, left + 0.7]),
         com_acceleration=none,
         angular_momentum_rate=none,
         position_sole=np.array([[0.0, 0.05, left], [0.0, -0.05, right]]),
@@ -58,6 +58,14 @@ def test_a_foot_is_sure_after_some_samples(moment: Reference, stance: list[bool]
     assert stood.tolist() == stance
     assert swung.tolist() == swing
     assert not np.any(kinematics.at(believed(np.nan, np.nan), np.full(3, np.nan)))
+
+
+def test_a_small_robot_lifts_its_feet_in_proportion() -> None:
+    """Of a robot of a sixth of the size, a foot that is 3 mm higher is in the air."""
+    kinematics, moment = Kinematics(np.zeros((2, 1, 4))), believed(0.0, 0.003)
+    for _ in range(CONTACT_MARGIN + 1):
+        stood, swung = kinematics.at(moment._replace(com=np.array([0.0, 0.0, 0.1])), UP)
+    assert (stood.tolist(), swung.tolist()) == ([True, False], [False, True])
 
 
 @pytest.mark.parametrize(("lift", "stance", "swing"), [(0.0, [True, True], 0), (0.02, [True, False], 1)])
