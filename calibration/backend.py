@@ -51,11 +51,6 @@ class LibraryFilter:
     def __init__(self, native: NativeFilter, method: OnlineMethod) -> None:
         self._native, self._method, self._state = native, method, native.pack()
         self._started = self._shared = False
-        self._late: Array = next(
-            self._state.now[name]
-            for name in ("front_late", "late")
-            if name in (self._state.now.dtype.names or ())
-        )
         self.library: Library | None = native.library
 
     @property
@@ -79,7 +74,7 @@ class LibraryFilter:
             return estimate
         self._started = True
         if late is not None:
-            self._late[...] = late
+            self._native.expect(self._state, late)
         return self._native.update(self._state, raw, reference, dt)
 
     def retract(self) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from surefoot.arrays import Floats
 from surefoot.calibration.backend import FilterBackend, LibraryFilter, PythonFilter
 from surefoot.calibration.estimate import Estimate
 from surefoot.calibration.front_end.ages import aligned_lag, mean_age
@@ -172,7 +173,11 @@ class FootCalibrator(OfOneVersion):
         dt = self.setup.dt if dt is None else dt
         if age is None:
             return self._backend.update(raw, reference, dt)
-        if np.shape(age) != raw.shape:
+        return self._backend.update(raw, reference, dt, self.lateness(age))
+
+    def lateness(self, age: ArrayLike) -> Floats:
+        """Return by how much readings of an age in s, shape (K,), are older than on average."""
+        if np.shape(age) != (self.setup.layout.channels,):
             raise ValueError(
                 f"'age' must hold one age in s for each of the {self.setup.layout.channels} channels, "
                 f"got shape {np.shape(age)}."
@@ -180,7 +185,7 @@ class FootCalibrator(OfOneVersion):
         late = np.asarray(age, dtype=np.float64) - mean_age(self.setup)
         # Readings of the future and of hours ago are errors of a clock.
         known = np.abs(late) <= LONGEST_GAP * self.setup.dt
-        return self._backend.update(raw, reference, dt, np.where(known, late, 0.0))
+        return np.where(known, late, 0.0)
 
     @property
     def aligned_lag(self) -> int:

@@ -23,7 +23,7 @@
 #define SF_COMPONENTS 6
 #endif
 #ifndef SF_TALKS
-#define SF_TALKS 20 /* five for each six-axis sensor, 0 for cells alone */
+#define SF_TALKS 60 /* fifteen for each six-axis sensor, 0 for cells alone */
 #endif
 #ifndef SF_BLOCK
 #define SF_BLOCK 48
@@ -48,7 +48,7 @@
 typedef struct {
     int components, capacity, held, steady, talks, carries;
     sf_real below[SF_CHANNELS * 3], com_below[SF_FEET * 3]; /* Blocks: W by m/s^2; m */
-    int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show a vertical force, and those of it */
+    int talk_to[SF_TALKS + 1], talk_from[SF_TALKS + 1]; /* channels that may show another's load, and those of it */
     sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, ahead, kept_time, longest_pause, product_time;
     sf_real largest_error, level, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load, least_cosine;

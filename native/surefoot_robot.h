@@ -153,6 +153,7 @@ typedef struct {
 typedef struct {
     sf_real raw[SF_CHANNELS], history[(SF_LAG + 1) * 3 * SF_CHANNELS], motion[SF_MOTION];
     sf_real silent[SF_CHANNELS]; /* time in s since each channel was last read */
+    sf_real constant; /* time in s since any reading last changed */
     sf_real late[SF_CHANNELS]; /* by how much the coming readings are older than their mean age in s; 0 if not known */
     sf_whole known, clean;
 } sf_front;
@@ -165,6 +166,7 @@ typedef struct {
     sf_real past[2 * SF_CHANNELS]; /* what the reference describes: forces, and whether each was read (0 or 1) */
     sf_real aligned[SF_CHANNELS]; /* forces of all channels at one moment, `aligned_lag` samples ago */
     int read[SF_CHANNELS], sound, gap, good; /* a good reference; a clock that jumped; all to be learnt from */
+    int repeated; /* whether all readings are those of the sample before */
 } sf_sample;
 
 /* What is known of the channels' faults, but for what hypotheses say: ChannelState. */
@@ -405,14 +407,19 @@ SF_API void sf_check(const sf_config *c, sf_front *s, const sf_real *raw, const 
     for (int i = 0; i < R; i++) sample->sound = sample->sound && sf_fabs(motion[i]) <= SF_LARGEST_REFERENCE;
     for (int i = 0; i < 3 * c->feet; i++)
         sample->sound = sample->sound && sf_fabs(motion[SF_SOLES + i] - motion[SF_COM + i % 3]) <= SF_FARTHEST;
+    sf_real passed = dt > 0 && dt < SF_MOST_SILENCE ? dt : c->dt;
+    sample->repeated = 1;
     for (int i = 0; i < c->channels; i++) {
         sample->read[i] = raw[i] >= c->lowest[i] && raw[i] <= c->highest[i];
+        sample->repeated = sample->repeated && !(sample->read[i] && raw[i] != s->raw[i]);
         sample->flags[i] = (sample->read[i] ? 0 : raw[i] == raw[i] ? SF_OUT_OF_RANGE : SF_MISSING) |
                            (sample->sound ? 0 : SF_REFERENCE) | (sample->gap ? SF_GAP : 0);
         if (sample->read[i]) s->raw[i] = raw[i], s->silent[i] = 0;
-        else s->silent[i] = sf_min(s->silent[i] + (dt > 0 && dt < SF_MOST_SILENCE ? dt : c->dt), SF_MOST_SILENCE);
+        else s->silent[i] = sf_min(s->silent[i] + passed, SF_MOST_SILENCE);
         sample->force[i] = c->scale[i] * s->raw[i] + c->offset[i];
     }
+    s->constant = sample->repeated ? sf_min(s->constant + passed, SF_MOST_SILENCE) : 0;
+    sample->repeated = sample->repeated && s->constant < c->longest_silence;
     if (sample->sound) sf_copy(s->motion, motion, R);
     s->known = s->known || sample->sound;
 }
@@ -460,7 +467,7 @@ SF_API void sf_align(const sf_config *c, sf_front *s, sf_sample *sample) {
     memmove(s->history, s->history + 3 * K, (size_t)(c->kept * 3 * K) * sizeof(sf_real));
     sf_copy(newest, sample->force, K);
     for (int i = 0; i < K; i++) {
-        newest[K + i] = (sf_real)sample->read[i];
+        newest[K + i] = (sf_real)(sample->read[i] && !sample->repeated);
         newest[2 * K + i] = s->late[i];
         s->late[i] = 0;
     }

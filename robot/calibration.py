@@ -15,6 +15,7 @@ import numpy as np
 from surefoot.calibration import FootCalibrator, MomentumReference, Parameters, Reference
 from surefoot.calibration.cop import FORCE_THRESHOLD
 from surefoot.calibration.estimate import Estimate
+from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.native import ReferenceRecord
 from surefoot.calibration.online import MethodOptions, method_entry, resolve_method
 from surefoot.calibration.state import load_state, mass_share, save_state
@@ -128,6 +129,8 @@ class CalibrationSetup:
         usual = {"gravity": drawing.gravity, "force_threshold": contact_force(drawing.weight)}
         if equipment.seldom and self.method == "moment":
             usual["ripple"] = ALIASED
+        if instruments.residue > Moment.tare_noise and self.method == "moment":
+            usual["tare_noise"] = instruments.residue
         self.options = usual | layout_options(self.layout, drawing) | options
         self.touching, self.by_momentum = Touching.of(drawing), method_entry(self.method).momentum
         self._nominal = NominalModel.of_drawing(drawing, self.errors)

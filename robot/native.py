@@ -41,9 +41,11 @@ class NativeSample:
         native: NativeFilter,
         state: StateRecord,
         view: FootView,
-        dt: float,
+        calibrator: FootCalibrator,
         chances: Chances,
     ) -> None:
+        dt = calibrator.setup.dt
+        self._calibrator, self._dt = calibrator, dt
         library = beliefs.library
         self._beliefs, self._state = beliefs, state
         self._filter, self._raw, self.sampled = native, native.raw, False
@@ -64,10 +66,17 @@ class NativeSample:
         if arrived is None:
             beliefs.update(sensors.packets)
         self._raw[...] = sensors.raw
+        self.expect(sensors.ages)
         how = beliefs.plan(command) + 2 * hold
         self.sampled = True
         self._sample(self.address, *(arrived or NOTHING), then, sensors.time, how)
         return self.outputs()
+
+    def expect(self, ages: Floats | None) -> None:
+        """Take the coming readings to be of these ages in s, shape (K,), if they are known."""
+        if ages is not None:
+            # What is handed out is of the middle of the last step; see CalibrationSetup.calibrator.
+            self._filter.expect(self._state, self._calibrator.lateness(ages - 0.5 * self._dt))
 
     def keep_in(self, memory: NDArray[np.uint8]) -> None:
         """Keep :attr:`memory` elsewhere from here on."""
@@ -153,6 +162,8 @@ class ManySamples:
             planned = np.ascontiguousarray(planned)
             how, plans = how + np.int32(1), plans + planned.ctypes.data
             plans += planned.strides[0] * np.arange(len(plans), dtype=np.uintp)
+        for i in which.tolist():
+            self.robots[i].expect(sensed.robots[i].ages())
         found = sensed.rows[which], sensed.packets[which], sensed.raw[which]
         call_for_many(self._many, (self._at[which], *found, plans, then, now, how), threads)
         if not self.sampled.all():
@@ -175,7 +186,7 @@ def native_sample(
     native = calibrator.native()
     if native is None or not isinstance(beliefs, NativeBeliefs):
         return PythonSample(beliefs, calibrator, view, chances)
-    return NativeSample(beliefs, *native, view, calibrator.setup.dt, chances)
+    return NativeSample(beliefs, *native, view, calibrator, chances)
 
 
 def view_record(library: Library, view: FootView) -> NDArray[Any]:

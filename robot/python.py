@@ -42,7 +42,11 @@ class PythonSample:
         beliefs = self._beliefs
         if believe(beliefs, sensors, then, command, hold, self._chances):
             self._calibrator.retract()
-        self._estimate = estimate = self._calibrator.update(sensors.raw, beliefs.believed)
+        age = sensors.ages
+        if age is not None:
+            # What is handed out is of the middle of the last step; see CalibrationSetup.calibrator.
+            age = age - 0.5 * sensors.telemetry.dt
+        self._estimate = estimate = self._calibrator.update(sensors.raw, beliefs.believed, age=age)
         self.sampled = True
         shown = self._view.show(estimate, np.asarray(beliefs.soles(sensors.time)))
         # Copies, as an estimate may hold arrays of the one before.

@@ -9,6 +9,8 @@
   long before they are compared. The map that is learnt applies to the newest reading.
 * **Age.** Readings are interpolated to one moment, and extrapolated to now for the centre of pressure of all
   feet together (:mod:`surefoot.calibration.front_end.ages`).
+* **Repeats.** A sample whose readings all equal those before it was not taken anew. It counts as one that did
+  not arrive, but for a flag, until the readings have been constant for :data:`LONGEST_SILENCE`.
 * **Silence.** The load may have changed since a held reading. After :data:`LONGEST_SILENCE` without a reading
   of a channel its foot has no centre of pressure, and neither have all feet together.
 * **Linear rows.** The level wrench of the feet is linear in the channels: (Fz, Fz px, Fz py) = rows @ F.
@@ -57,6 +59,7 @@ class FrontState(NamedTuple):
     known: bool  # whether any reference was good so far
     clean: int  # good samples since the last bad one
     silent: Array  # time in s since each channel was last read, at most an hour, shape (K,)
+    constant: float  # time in s since any reading last changed, at most an hour
     late: Array
     """By how much the coming sample's readings are older than their mean age in s, shape (K,): 0 unless the
     device reports when it converted."""
@@ -127,6 +130,7 @@ class FrontEnd:
             "late": (-MOST_SILENCE, MOST_SILENCE),
             "motion": (-LARGEST_REFERENCE, LARGEST_REFERENCE),
             "silent": (0.0, MOST_SILENCE),
+            "constant": (0.0, MOST_SILENCE),
         }
         self.longest_silence = max(LONGEST_SILENCE, LONGEST_GAP * setup.dt)
         feet = np.arange(len(setup.layout.feet))[:, None]
@@ -146,6 +150,7 @@ class FrontEnd:
             known=False,
             clean=0,
             silent=np.zeros(self._channels),
+            constant=0.0,
             late=np.zeros(self._channels),
         )
 
@@ -177,6 +182,10 @@ class FrontEnd:
         read, held, force, sure = self._read(state, raw, repair)
         passed = dt if 0.0 < dt < MOST_SILENCE else self.setup.dt
         silent = np.where(read, 0.0, np.minimum(state.silent + passed, MOST_SILENCE))
+        repeated = bool((held == state.raw).all())
+        constant = min(state.constant + passed, MOST_SILENCE) if repeated else 0.0
+        if repeated and constant < self.longest_silence:
+            sure = np.zeros_like(sure)
         history = np.vstack([state.history[1:], np.concatenate([force, sure, state.late])])
         lag, nominal, zero = self.setup.lag, self.setup.dt, np.zeros(self._channels)
         past = force_at(history, lag, zero, nominal)
@@ -212,7 +221,7 @@ class FrontEnd:
             gap=gap,
             silent=silent,
         )
-        return FrontState(held, history, motion, known, clean, silent, zero), sample
+        return FrontState(held, history, motion, known, clean, silent, constant, zero), sample
 
     def _read(
         self, state: FrontState, raw: Array, repair: Repair | None

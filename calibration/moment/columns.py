@@ -5,7 +5,7 @@
 | scale | K | 1 | a, against the starting map |
 | offset | K | W (W m for a torque) | b, offsets of the start |
 | drift | K | W (W m) | u, drift of the zeros since, as a force |
-| talk | T | 1 (m) | of the vertical force of a six-axis sensor, the share that its other axes show |
+| talk | T | 1, m, 1/m | share of a load of a six-axis sensor that another axis of it shows |
 | com | 2 | m | d, believed less true centre of mass, in axes that head as the feet do |
 | mass | 1 | 1 | m, error of the believed mass |
 | delay | 1 | s | how late the robot's clock is |
@@ -26,8 +26,11 @@ from surefoot.calibration.setup import OnlineSetup
 VERTICAL, SHEAR = 3, 6
 """Components that load cells see, (P_z, H_x, H_y), and those of six-axis sensors."""
 
-VERTICAL_AXIS, AXES = 2, 6
-"""Place of the vertical force in a six-axis sensor's channels, and their number."""
+AXES = 6  # channels of a six-axis sensor
+
+TALKING = 2, 3, 4
+"""Axes of a six-axis sensor that the others show: the vertical force and the torques about the level axes,
+which are large shares of their full scales under a robot. Shear and yaw torque are not."""
 
 TALK_ARM = 0.03
 """Full scale of a torque by that of a force in m, which cross-talk is a share of: 0.02 to 0.04 of sensors in
@@ -92,7 +95,8 @@ class Spread(NamedTuple):
         torque = ~(setup.layout.wrench_map[:, :3] != 0.0).any(axis=(0, 1))
         unit = np.where(torque, setup.length, 1.0)
         scale = np.full(setup.layout.channels, config.scale_std**2)
-        talk = (config.cross_talk * np.where(torque, TALK_ARM, 1.0)[find_talks(setup.layout)[0]]) ** 2
+        full_scale, (to, origin) = np.where(torque, TALK_ARM, 1.0), find_talks(setup.layout)
+        talk = (config.cross_talk * full_scale[to] / full_scale[origin]) ** 2
         walk = np.stack([np.full_like(unit, config.scale_drift), config.offset_drift * unit]) ** 2 / 60.0
         return cls(scale, (config.offset_std * unit) ** 2, talk, np.full(2, config.com_std**2), unit, walk)
 
@@ -103,14 +107,15 @@ def sees_shear(layout: FeetLayout) -> bool:
 
 
 def find_talks(layout: FeetLayout) -> NDArray[np.int64]:
-    """Return the channels that may show a vertical force, and the channels of these forces, shape (2, T)."""
+    """Return the channels that may show another one's load, and the channels of these loads, shape (2, T)."""
     pairs = [
-        (start + sensor.channels.start + axis, start + sensor.channels.start + VERTICAL_AXIS)
+        (start + sensor.channels.start + axis, start + sensor.channels.start + origin)
         for foot, start in zip(layout.feet, (part.start for part in layout.slices), strict=True)
         for sensor in foot.sensors
         if sensor.six_axis
+        for origin in TALKING
         for axis in range(AXES)
-        if axis != VERTICAL_AXIS
+        if axis != origin
     ]
     return np.array(pairs, dtype=np.int64).reshape(-1, 2).T
 

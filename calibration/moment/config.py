@@ -46,8 +46,9 @@ class Moment:
     torque); weighed as `scale_std` is."""
 
     cross_talk: float = 0.01
-    """Share of its vertical force that a six-axis sensor's other axes are thought to show, of full scales:
-    1 % by the data sheets of good ones. It is allowed for, and not taken off."""
+    """Standard deviation of the share of a load that another axis of a six-axis sensor shows, in full scales:
+    1 % by the data sheets of good ones. Loads are the vertical force and the torques about the level axes.
+    Cross-talk is estimated so that scales and offsets do not make up for it, and is not removed."""
 
     scale_drift: float = 0.02
     """Random walk of a scale per square root of a minute: 2 %, of cheap cells that warm up."""

@@ -61,8 +61,8 @@ class Model:
     Attributes:
         velocity_variance: Of a block's mean velocity in m^2/s^2, shape (3,).
         spin_variance: Of its mean angular momentum by the mass in m^4/s^2.
-        talk_to: Channels that may show a vertical force, shape (T,).
-        talk_from: The channels of these forces, shape (T,).
+        talk_to: Channels that may show another one's load, shape (T,).
+        talk_from: The channels of these loads, shape (T,).
     """
 
     def __init__(self, setup: OnlineSetup, config: Moment, columns: Columns) -> None:

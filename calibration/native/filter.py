@@ -96,6 +96,11 @@ class NativeFilter:
         record = self.references.get(type(reference))
         return record is not None and record.takes(reference)
 
+    def expect(self, state: StateRecord, late: Array) -> None:
+        """Take the coming readings to be older than on average by times in s, shape (K,)."""
+        names = state.now.dtype.names or ()
+        state.now["front_late" if "front_late" in names else "late"] = late
+
     def update(
         self,
         state: StateRecord,

@@ -241,6 +241,7 @@ class Instruments:
         space: Box of the readings in counts, shape (K,).
         age: Mean age of a reading when it is taken in s; that of the cells if there are both kinds.
         ages: Mean age of each channel in s, shape (K,).
+        residue: What cells of a foot in swing typically still read of the load before, in body weights.
 
     Raises:
         ValueError: If an instrument does not fit the robot, or a kind is given twice.
@@ -289,6 +290,9 @@ class Instruments:
         with np.errstate(over="ignore"):
             self.space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         self.age = self.parts[0].age
+        cells = [part.config for part in self.parts if isinstance(part.config, LoadCells)]
+        # A foot bears the weight on its cells, and then hangs.
+        self.residue = max((len(drawing.feet) * one.residue / one.channels for one in cells), default=0.0)
         self.ages = self.join([np.full(part.channels, part.age) for part in self.parts])
         self._add_faults()
 
@@ -307,6 +311,19 @@ class Instruments:
     def __setstate__(self, kept: dict[str, Any]) -> None:
         vars(self).update(kept)
         self._add_faults()
+
+    def reading_ages(self, cells: Any) -> Floats | None:
+        """Return the age of each reading in s, shape (K,); ``None`` of instruments that do not report it.
+
+        Args:
+            cells: State of the load cells: whatever has ``period`` and ``due``, in s, shape (K,) each.
+        """
+        config = self.parts[0].config
+        if not (isinstance(config, LoadCells) and config.stamped):
+            return None
+        # A reading is the mean over its conversions, of which the last ended some time ago.
+        own = cells["period"] - cells["due"] + 0.5 * config.settling * cells["period"]
+        return self.join([own, *(np.full(part.channels, part.age) for part in self.parts[1:])])
 
     def first_steps(self, dt: float) -> list[float]:
         """Return :func:`~surefoot.robot.sensing.device.first_steps` of these instruments."""

@@ -217,6 +217,11 @@ class NativeSensing:
         raw, counts, state = _SEEN(self._seen.copy())
         return raw, self._view.compose(observation, counts, None if self._observed is None else state)
 
+    def ages(self) -> Floats | None:
+        """Return the age of each reading in s, shape (K,); ``None`` if it is not known."""
+        cells = self._states.get("cells")
+        return self._spec.fitted.instruments.reading_ages(None if cells is None else cells.now)
+
     def packet_rows(self) -> tuple[int, int] | None:
         """Return the address and the number of the rows of packets, valid until the next step."""
         return None if self._telemetry is None else (self.rows_address, int(self.records.now["packets"]))

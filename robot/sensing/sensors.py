@@ -146,6 +146,11 @@ class RobotSensors(OfOneVersion):
         return self._raw
 
     @property
+    def ages(self) -> Floats | None:
+        """The age of each channel's last reading in s, shape (K,); ``None`` if cells do not report it."""
+        return self.backend.ages()
+
+    @property
     def telemetry(self) -> Telemetry:
         """The layout of the packets (``telemetry.layout``) and their rate."""
         if self._telemetry is None:

@@ -100,6 +100,11 @@ class LoadCells:
     """Over how many conversions a converter averages. 4 is an HX711's by its data sheet, which makes readings
     1.5 conversions later than 1 does."""
 
+    stamped: bool = False
+    """Whether the host learns when each conversion ended, as a controller does that timestamps the chips'
+    data-ready signals. Calibrators then know the age of each reading. Needs a clock, and a wire on which
+    nothing happens."""
+
     mechanics: Annotated[Mechanics, ErrorField()] = IDEAL
     """What happens to a load before the bridge: nonlinearity, hysteresis, creep, jumps of the offset."""
 
@@ -141,6 +146,13 @@ class LoadCells:
             self,
             "adc_bits",
             "be above 0 where words can be wrong",
+        )
+
+        require(
+            not self.stamped or (self.rate is not None and not self.wire.acts),
+            self,
+            "stamped",
+            "be False for cells without a clock ('rate') or with errors of the wire ('wire')",
         )
 
     @property
@@ -196,6 +208,14 @@ class LoadCells:
     def nominal_offset(self) -> Floats:
         """N at code zero by the data sheet, d_0, shape (K,): the load is c_0 s + d_0."""
         return -self.zero_code / self.slope
+
+    @property
+    def residue(self) -> float:
+        """Share of a load that a cell typically still reads after it is gone, by the data sheet.
+
+        Hysteresis and creep leave at most their whole share behind, and half of it on average.
+        """
+        return 0.5 * (self.mechanics.hysteresis + sum(self.mechanics.creep_shares))
 
     @property
     def nominal_age(self) -> float:

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from _ankles import SENSOR, on_ankles
 from _moment import move
 from _synthetic import DT, LAYOUT, MASS, NOMINAL
 
-from surefoot.calibration import GRAVITY, FeetLayout, FootLayout, OnlineSetup
+from surefoot.calibration import GRAVITY, FeetLayout, FootCalibrator, FootLayout, OnlineSetup, Reference
 from surefoot.calibration.moment.blocks import Block
 from surefoot.calibration.moment.columns import Columns, Spread, find_talks, first_mean, first_variance
 from surefoot.calibration.moment.config import Moment
@@ -290,3 +291,32 @@ def test_a_hand_that_takes_hold_accuses_no_channel():
         assert found is None
     # Without a hand that changes, a channel was as good as guilty: 0.8.
     assert 0.3 * SURE < most < 0.7 * SURE
+
+
+def test_the_inertia_of_a_foot_in_swing_is_not_taken_for_a_zero():
+    truth, mass, com = on_ankles(2, 0.2, 12.0), 0.4, np.array([0.02, 0.0, 0.03])
+    # One foot swings about the other, which stands still.
+    apart, swing = truth.reference.position_sole, truth.reference.swing
+    apart = apart[:, 0] - apart[:, 1]
+    relative = np.zeros_like(apart)
+    relative[1:-1] = (apart[2:] - 2.0 * apart[1:-1] + apart[:-2]) / DT**2
+    acceleration = np.stack([relative * swing[:, :1], -relative * swing[:, 1:]], axis=1)
+    force = truth.force.copy()
+    offset = []
+    for told in (0.0, mass):
+        layout = FeetLayout(
+            tuple(
+                FootLayout.force_torque(name, **SENSOR, mass_below=told, com_below_sole=com)
+                for name in ("left", "right")
+            )
+        )
+        for foot, side in enumerate(layout.feet):
+            load = -mass * acceleration[:, foot]
+            wrench = np.hstack([load, np.cross(com, load)])
+            part = slice(6 * foot, 6 * foot + 6)
+            force[:, part] = truth.force[:, part] + wrench @ np.linalg.inv(side.wrench_map).T
+        calibrator = FootCalibrator(layout, "moment", mass=MASS, dt=DT, lag=0, foot_length=0.16)
+        for k in range(len(force)):
+            estimate = calibrator.update(force[k], Reference(*(part[k] for part in truth.reference)))
+        offset.append(np.abs(estimate.offset[[0, 1, 2, 6, 7, 8]]).max())
+    assert offset[1] < 0.3 * offset[0], offset

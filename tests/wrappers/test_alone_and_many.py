@@ -25,6 +25,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "broken": (BROKEN | {"link": {"delay": 0.03, "jitter": 0.004}}, {"show": ("wrench", "foot_flags")}),
     "ankles": ({"config": "icub-ftsens", "measure_state": False}, {"errors": {"mass": 0.0}, "lag": 9}),
     "tare": ({}, {"method": "tare"}),
+    "stamped": ({"config": LoadCells(stamped=True)}, {"show": SHOWN}),
     "by Python": ({}, {"method": "window", "window": 2.0}),
     "all shown": ({}, {"show": PARTS}),
     "by chance": (

@@ -10,7 +10,7 @@ import pytest
 from surefoot.calibration import Curves, FootCalibrator, Moment, Parameters
 from surefoot.robot.beliefs.contacts import CONTACT_MARGIN, Plan
 from surefoot.robot.foot_view import DEFAULT
-from surefoot.sensors import ForceTorque, Wire
+from surefoot.sensors import ForceTorque, LoadCells, Wire, scaled
 from surefoot.sensors.presets import HX711_LOAD_CELLS
 from surefoot.wrappers import FootSensors, SelfCalibration
 
@@ -281,3 +281,29 @@ def test_options_may_be_a_value_that_a_spec_has_as_well(make_bare) -> None:
     assert env.calibrator._options["scale_std"] == 0.2
     kept = env.spec.additional_wrappers[-1].kwargs
     assert (kept["method"], kept["scale_std"]) == ("moment", 0.2)
+
+
+def test_cells_that_report_when_they_converted_are_aligned():
+    """Chips on clocks of their own read a moving robot at different moments, which they report."""
+    steps, cells = 240, scaled(LoadCells(stamped=True), 0.0)
+    env = SelfCalibration(FootSensors(gym.make("surefoot/NaoWalk-v0"), cells), "none")
+    env.reset(seed=2)
+    truth, read, aligned = [], [], []
+    for _ in range(steps):
+        *_, info = env.step(np.zeros(env.action_space.shape))
+        truth.append(info["surefoot"]["truth"]["force_cell"])
+        read.append(env.robot.estimate.force)
+        aligned.append(env.robot.estimate.force_aligned)
+    assert env.robot.calibrator.aligned_lag == 1
+    off_read = np.array(read)[80:] - np.array(truth)[80:]
+    off_aligned = np.array(aligned)[80:] - np.array(truth)[79:-1]
+    assert np.sqrt((off_aligned**2).mean()) < 0.35 * np.sqrt((off_read**2).mean())
+
+
+@pytest.mark.parametrize(
+    ("cells", "named"),
+    [({"rate": None}, "without a clock"), ({"wire": Wire(delay=0.01)}, "errors of the wire")],
+)
+def test_ages_of_readings_need_a_clock_and_a_clean_wire(cells, named):
+    with pytest.raises(ValueError, match=named):
+        LoadCells(stamped=True, **cells)
