@@ -1,4 +1,4 @@
-"""Sensors between an environment's truth and who observes it."""
+"""Sensors between the truth of an environment and the observer."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -35,54 +35,55 @@ class FootSensors(
 ):
     """Read an environment through load cells or ankle sensors, joint encoders and an IMU.
 
-    Any environment built on MuJoCo will do: one that does not record its truth is instrumented first, in
-    memory (:class:`~surefoot.envs.InstrumentedEnv`). The observation becomes a ``Dict``, with all that the
-    environment showed as ``"state"`` unless it was a ``Dict`` already, and gains
+    Any environment based on MuJoCo can be wrapped. If it does not record its truth, sensors are added to its
+    model in memory first (:class:`~surefoot.envs.InstrumentedEnv`). The observation becomes a ``Dict``, in
+    which an observation that was not a ``Dict`` is called ``"state"``, and gains
 
     | Key | Observation | Min | Max | Unit |
     |-----|-------------|-----|-----|------|
     | ``"foot_raw"`` (K) | cells, left then right: FL, FR, RL, RR; ankles: fx to tz | 0 | 2^24 - 1 | count |
 
-    (the range is the configuration's; where no reading arrives the last one is held, and before the first
-    that of an unloaded sensor). It loses the true (``"foot_force"``, ``"cop"``,
-    ``"cop_foot"`` and ``"cop_valid"``), and where the environment has a ``state_layout``, ``joint_position``,
-    ``joint_velocity``, ``tilt`` and ``gyroscope`` become those of the newest packet of telemetry that has
-    arrived; other environments' states are left as they are. Truth stays in ``info["surefoot"]["truth"]``.
+    (the range is that of the configuration). If no reading arrives, the last one is held, and before the
+    first one that of an unloaded sensor. The true ``"foot_force"``, ``"cop"``, ``"cop_foot"`` and
+    ``"cop_valid"`` are removed. If the environment has a ``state_layout``, ``joint_position``,
+    ``joint_velocity``, ``tilt`` and ``gyroscope`` are replaced by those of the newest packet of telemetry
+    that has arrived; the states of other environments are not changed. The truth stays in
+    ``info["surefoot"]["truth"]``.
 
-    A calibrator around it uses :attr:`source`, :attr:`robot` and :meth:`listen`, and nothing else.
+    A calibrating wrapper uses only :attr:`source`, :attr:`robot` and :meth:`listen`.
 
-    Sensors have random streams of their own, seeded from the seed of the reset, so that the environment's
-    trajectory is the bare one's, and the same seed under other wrappers is the same episode. A reset with a
-    seed draws fresh sensors: other scales, offsets, clocks and biases, those of a vector's copy that is reset
-    with it. A reset without one keeps them, and they drift on, as hardware does; ``fresh=True`` or
-    ``options={"surefoot": {"sensors": "fresh"}}`` draws
-    fresh ones then as well, and ``"keep"`` keeps them whatever the seed.
+    Sensors have their own random streams, which are seeded by the seed of the reset. The environment's
+    trajectory is therefore that without sensors, and the same seed under other wrappers gives the same
+    episode. A reset with a seed draws fresh sensors: other scales, offsets, clocks and biases, equal to those
+    of a copy in a vector that is reset with the same seed. A reset without a seed keeps the sensors, which
+    continue to drift as hardware does. ``fresh=True`` or ``options={"surefoot": {"sensors": "fresh"}}`` draws
+    fresh sensors in this case too, and ``"keep"`` keeps them despite a seed.
 
-    Where ``severity`` is a range, or ``faults`` have probabilities, ``info["surefoot"]["truth"]`` also holds
-    what was drawn: ``severity``, and ``fault`` (K,), 0 for a channel that is sound, else 1 plus the
-    place of its fault in :data:`surefoot.sensors.faults.channels.KINDS`. It is for a critic, not for a
-    policy.
+    If ``severity`` is a range, or ``faults`` are probabilities, ``info["surefoot"]["truth"]`` also contains
+    the drawn values: ``severity``, and ``fault`` (K,), which is 0 for a channel without a fault and otherwise
+    1 plus the index of its fault in :data:`surefoot.sensors.faults.channels.KINDS`. They are meant for a
+    critic, not for a policy.
 
     Args:
-        env: An environment built on MuJoCo, such as ``surefoot/NaoWalk-v0`` or ``Humanoid-v5``.
+        env: An environment based on MuJoCo, such as ``surefoot/NaoWalk-v0`` or ``Humanoid-v5``.
         config: The instruments under the feet: the name of a preset, a :class:`~surefoot.sensors.LoadCells`,
             a :class:`~surefoot.sensors.ForceTorque`, a mapping of the fields of either; or all sensors as one
-            value, a :class:`~surefoot.wrappers.FootEquipment`.
-        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
-        feet: Names of the feet's bodies, for a robot whose feet cannot be guessed.
-        cells: Places of the cells, see :class:`~surefoot.envs.InstrumentedEnv`.
-        soles: Flat soles for feet without area, likewise; they change how the robot moves.
+            :class:`~surefoot.wrappers.FootEquipment`.
+        measure_state: Whether encoders and IMU replace the parts that a ``state_layout`` names.
+        feet: Names of the feet's bodies, for a robot whose feet are not found automatically.
+        cells: Positions of the cells, see :class:`~surefoot.envs.InstrumentedEnv`.
+        soles: Flat soles for feet without area, see there. They change how the robot moves.
         options: Fields of :class:`~surefoot.wrappers.FootEquipment`: ``ankles``, ``imu``, ``encoders``,
             ``link``, ``severity``, ``faults``, ``fresh`` and ``stream``.
 
     Attributes:
         source: The environment or wrapper that records the truth.
-        robot: The sensors, which outlive episodes.
+        robot: The sensors, which persist over episodes.
         instruments: The instruments under the feet.
 
     Raises:
-        TypeError: If the environment is not built on MuJoCo, or is wrapped already.
-        ValueError: If a preset is unknown, a value is refused, or the feet have no place for the sensors.
+        TypeError: If the environment is not based on MuJoCo, or already has sensors.
+        ValueError: If a preset is unknown, a value is out of range, or the sensors do not fit the feet.
     """
 
     def __init__(
@@ -99,7 +100,7 @@ class FootSensors(
         check_flag("measure_state", measure_state)
         given = equip(config, **options)
         refuse_second("FootSensors", env)
-        # Where the sensors are is recorded by InstrumentedEnv, which a spec brings back first.
+        # A spec rebuilds InstrumentedEnv first, which records the positions of the sensors.
         gym.utils.RecordConstructorArgs.__init__(self, measure_state=measure_state, **given.options)
         gym.Wrapper.__init__(self, with_source(env, feet=feet, cells=cells, soles=soles))
         source = find_source(self.env)
@@ -130,9 +131,9 @@ class FootSensors(
         """Reset the environment, with fresh or kept sensors.
 
         Args:
-            seed: Seeds the environment, and the sensors with it; without, they go on.
-            options: ``options["surefoot"]["sensors"]`` may be ``"fresh"`` or ``"keep"``; the rest is handed
-                to the environment.
+            seed: Seeds the environment and the sensors; without one the sensors are kept.
+            options: ``options["surefoot"]["sensors"]`` may be ``"fresh"`` or ``"keep"``. Other options are
+                passed to the environment.
 
         Raises:
             ValueError: If a choice does not exist.
@@ -147,7 +148,7 @@ class FootSensors(
         return seen, self._with_drawn(info)
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment and read the sensors; no sample arrives of a simulation that blew up."""
+        """Step the environment and read the sensors. An unstable simulation gives no sample."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         truth, robot = self.source.truth, self.robot
         before, self._clock = self._clock, truth.time.item(-1)
@@ -171,7 +172,7 @@ class FootSensors(
 
     @property
     def packets(self) -> Packets:
-        """Telemetry that arrived during the last step, in order; only while somebody listens."""
+        """Telemetry that arrived during the last step, in order; empty unless :meth:`listen` was called."""
         return self.robot.packets
 
     @property
@@ -185,15 +186,15 @@ class FootSensors(
         return self.robot.telemetry
 
     def set_severity(self, severity: Severity) -> None:
-        """Let the next fresh sensors be of another severity, a number or (lowest, highest).
+        """Set the severity of the next fresh sensors, a number or (lowest, highest).
 
         Raises:
-            ValueError: If a device cannot be so bad.
+            ValueError: If a device does not allow it.
         """
         self.robot.conditions = self.robot.equipment.with_severity(self.robot.conditions, severity)
 
     def set_faults(self, faults: Faults) -> None:
-        """Let other things break, or with other probabilities, from the next reset on.
+        """Set the faults, or their probabilities, from the next reset on.
 
         Raises:
             ValueError: If a fault or a probability is refused.
@@ -201,11 +202,11 @@ class FootSensors(
         self.robot.conditions = self.robot.equipment.with_faults(self.robot.conditions, faults)
 
     def listen(self) -> None:
-        """Send telemetry from the next reset on, even if no observation shows it."""
+        """Send telemetry from the next reset on, even if the observation does not contain it."""
         self.robot.listening = True
 
     def true_parameters(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the map that undoes the feet's errors now: truth, to score calibrators against.
+        """Return the map that corrects the feet's present errors: truth, for scoring calibrators.
 
         Returns:
             Scale in N per count and offset in N, each (K,).
@@ -218,7 +219,7 @@ class FootSensors(
         return [self.robot]
 
     def _with_drawn(self, info: dict[str, Any]) -> dict[str, Any]:
-        """Put the condition that was drawn to the truth."""
+        """Add the drawn condition to the truth."""
         if not self._drawn:
             return info
         told = info["surefoot"]

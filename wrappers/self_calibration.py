@@ -1,4 +1,4 @@
-"""Self-calibration of a robot while it walks, with its knowledge of itself."""
+"""Self-calibration of a robot while it walks, with its own state estimates."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, SupportsFloat
@@ -23,17 +23,17 @@ class SelfCalibration(
 ):
     """Calibrate the readings of :class:`FootSensors` while the robot moves, and observe the result.
 
-    The observation gains, from the counts alone, the parts that ``show`` names, and loses ``"foot_raw"``
-    unless that is named as well: counts are millions, which saturate a policy.
+    The observation gains the parts that ``show`` names, computed from the counts. ``"foot_raw"`` is removed
+    unless ``show`` names it, because counts of several millions saturate a policy.
 
     | Key | Observation | Min | Max | Unit |
     |-----|-------------|-----|-----|------|
-    | ``"foot_force"`` (K) | calibrated channels, as ``"foot_raw"`` | -1000 | 1000 | N (N m) |
+    | ``"foot_force"`` (K) | calibrated channels, ordered as ``"foot_raw"`` | -1000 | 1000 | N (N m) |
     | ``"cop_foot"`` (F, 2) | centre of pressure of each foot, the left one first, sole frame | -1 | 1 | m |
     | ``"cop"`` (2) | centre of pressure of all feet together, level frame | -1 | 1 | m |
     | ``"cop_valid"`` (1 + F) | whether the total one and those of the feet are defined | 0 | 1 | 1 |
     | ``"foot_load"`` (K) | ``"foot_force"`` by the robot's weight | -1000 / weight | 1000 / weight | 1 (m) |
-    | ``"foot_raw"`` (K) | readings as they come, see :class:`FootSensors` | 0 | 2^24 - 1 | count |
+    | ``"foot_raw"`` (K) | raw readings, see :class:`FootSensors` | 0 | 2^24 - 1 | count |
     | ``"wrench"`` (F, 6) | wrench of the ground on each sole, sole frame | -1000 | 1000 | N, N m |
     | ``"vgrf"`` (F) | vertical force on each foot, level frame | -1000 | 1000 | N |
     | ``"foot_force_std"`` (K) | standard deviation of ``"foot_force"`` | 0 | 1000 | N (N m) |
@@ -45,44 +45,43 @@ class SelfCalibration(
     | ``"cop_aligned"`` (2) | centre of pressure of all feet then, level frame of now | -1 | 1 | m |
     | ``"foot_flags"`` (K) | :class:`~surefoot.calibration.estimate.Flag` bits | 0 | 2^31 - 1 | 1 |
 
-    F is the number of feet. The first four are shown by default, but ``"cop_foot"`` only of feet that have an
-    area and measure where forces act on it; ``"contact_probability"`` and ``"undetermined"`` need method
+    F is the number of feet. The first four are shown by default, ``"cop_foot"`` only for feet that have an
+    area and measure the point of action. ``"contact_probability"`` and ``"undetermined"`` need the method
     ``"moment"``. The common moment of aligned values was ``FootCalibrator.aligned_lag`` samples ago, usually
-    one. They suit a learner or a log, the others a controller that reacts within a step. A
-    robot of more than 20 kg has wider bounds, five times its weight. A centre of pressure is defined above
-    5 N. Below, the last one is held and flagged. The reference that the calibrator holds the counts against
-    is made of the robot's beliefs (telemetry and a nominal model with wrong masses, see
-    :mod:`surefoot.robot.beliefs`), never of truth.
-    Which feet stand and swing is planned by the environment's ``command``, or else found by kinematics
+    one. They suit a learner or a log, the others a controller that reacts within a step. For a robot of more
+    than 20 kg the bounds are five times its weight. A centre of pressure is defined above 5 N. Below that, the
+    last one is held and flagged. The calibrator compares the counts with a reference that the robot computes
+    from telemetry and a nominal model with wrong masses (:mod:`surefoot.robot.beliefs`), never from truth.
+    Stance and swing are taken from the environment's ``command`` or, without one, from kinematics
     (:mod:`surefoot.robot.beliefs.contacts`).
 
     ``info["surefoot"]`` gains ``"parameters"`` (``"scale"`` and ``"offset"``, each (K)), ``"covariance"`` (or
     ``None``), ``"flags"`` (K), ``"vgrf"`` (F) N, of method ``"moment"`` ``"contact_probability"`` (F) and
     ``"undetermined"`` (K), ``"reference"`` (a mapping of the fields of
-    :class:`~surefoot.calibration.Reference`, and ``"known"``: where it is false they are 0) and ``"lag"``, by
-    how many samples the reference is late.
+    :class:`~surefoot.calibration.Reference`, which are 0 while its ``"known"`` is false) and ``"lag"``, the
+    delay of the reference in samples.
 
-    The calibration is kept over resets, as the sensors are. Calibration starts fresh at a reset with a seed
-    or with fresh sensors, and with ``fresh=True`` at each; ``options={"surefoot": {"calibration": choice}}``,
-    ``"fresh"`` or ``"keep"``, decides for one.
+    Resets keep the calibration, as they keep the sensors. It starts again at a reset with a seed or with
+    fresh sensors, and with ``fresh=True`` at every reset. ``options={"surefoot": {"calibration": choice}}``
+    with ``"fresh"`` or ``"keep"`` decides for one reset.
 
     Args:
         env: An environment with :class:`FootSensors` around it.
         method: A key of :data:`surefoot.calibration.METHODS`.
-        initial: The map to start from: ``"nominal"``, the data sheet's; ``"calibrated"``, the map that a
-            calibration from known weights would have found just before the episode; or
+        initial: The initial map: ``"nominal"``, that of the data sheet; ``"calibrated"``, the result of a
+            calibration with known weights just before the episode; or
             :class:`~surefoot.calibration.Parameters` (also as a mapping), or the JSON file of
             ``surefoot calibrate weights``.
-        show: Parts of the observation; ``None`` for the first four. For a policy that scales nothing itself,
-            ``("foot_load", "cop_foot", "cop", "cop_valid")``: none of it exceeds the order of one.
-        lag: How many samples ago a reference describes the feet; by default as few as the link allows.
-        fresh: Whether calibration starts fresh at each reset.
-        errors: How wrong the robot is about itself, also as a mapping of some of the fields.
-        stream: Number of the random stream, for other errors of beliefs on the same episode.
+        show: Parts of the observation; ``None`` for the first four. For a policy without its own scaling use
+            ``("foot_load", "cop_foot", "cop", "cop_valid")``, which are of the order of one.
+        lag: Delay of the reference in samples; by default the least that the link allows.
+        fresh: Whether calibration starts again at each reset.
+        errors: Errors of the robot's model of itself, also as a mapping of some of the fields.
+        stream: Number of the random stream; another one gives other model errors in the same episode.
         options: Options of the method.
 
     Attributes:
-        robot: The robot's beliefs and its calibrator, which outlive episodes.
+        robot: The robot's beliefs and its calibrator, which persist over episodes.
         layout: The feet and their channels.
 
     Raises:
@@ -128,11 +127,12 @@ class SelfCalibration(
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset the environment; the calibration is kept, or calibration starts fresh.
+        """Reset the environment, and keep the calibration or start it again.
 
         Args:
-            seed: Seeds the environment, the sensors and the errors of the beliefs; calibration starts fresh.
-            options: ``options["surefoot"]["calibration"]`` may be ``"fresh"`` or ``"keep"``; handed on.
+            seed: Seeds the environment, the sensors and the errors of the beliefs; calibration starts again.
+            options: ``options["surefoot"]["calibration"]`` may be ``"fresh"`` or ``"keep"``. All options are
+                passed on.
 
         Raises:
             ValueError: If a choice does not exist, or the lag needs more telemetry than is kept.
@@ -151,25 +151,25 @@ class SelfCalibration(
         check_clock("SelfCalibration", self.env, sensors.time - before, sensors.telemetry.dt)
         observation = self._calibrate(observation, info)
         if terminated:
-            # Mostly a fall, which began some moments ago.
+            # Usually a fall, which began some samples earlier.
             self.robot.retract()
         return observation, reward, terminated, truncated, info
 
     @property
     def _robot(self) -> RobotCalibration:
-        """The robot, which has a calibrator and beliefs once it was reset."""
+        """The robot, which has a calibrator and beliefs after its first reset."""
         if not self.robot.made:
             raise gym.error.ResetNeeded("There are no calibrator and no beliefs before the first reset().")
         return self.robot
 
     @property
     def calibrator(self) -> FootCalibrator:
-        """The calibrator, from the first reset on."""
+        """The calibrator; available after the first reset."""
         return self._robot.calibrator
 
     @property
     def beliefs(self) -> Any:
-        """The robot's beliefs, of the kind that the method takes, from the first reset on."""
+        """The robot's beliefs in the form that the method needs; available after the first reset."""
         return self._robot.beliefs
 
     @property
@@ -184,7 +184,7 @@ class SelfCalibration(
 
     @property
     def reference_time(self) -> float:
-        """The moment that it describes, in s of the host's clock since the reset."""
+        """The time of the last reference on the host's clock in s since the reset."""
         return self.robot.reference_time
 
     @property
@@ -192,7 +192,7 @@ class SelfCalibration(
         return [self.robot]
 
     def _calibrate(self, observation: dict[str, Any], info: dict[str, Any]) -> dict[str, Any]:
-        """Take in the packets that have arrived and one sample."""
+        """Process the packets that have arrived and one sample."""
         shown, told = self.robot.sample(getattr(self._sensors.source, "command", None))
         info.setdefault("surefoot", {}).update(told)
         seen = {**observation, **shown}

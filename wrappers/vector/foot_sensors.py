@@ -1,4 +1,4 @@
-"""Sensors between the truth of many robots and who observes them."""
+"""Sensors between the truth of many robots and their observer."""
 
 from collections.abc import Mapping
 from typing import Any, Unpack
@@ -23,34 +23,34 @@ Infos = dict[str, Any]
 class VectorFootSensors(OfOneVersion, BatchSensorsFace, AnyVectorWrapper):
     """Read many robots through load cells or ankle sensors, joint encoders and IMUs.
 
-    It goes right around a vector environment whose copies have :class:`~surefoot.wrappers.TruthRow` around
-    them, or around a :class:`~surefoot.envs.batch.BatchVectorEnv` as it is. The observation is a ``Dict``
-    without truth and with ``"foot_raw"`` (N, K) counts, and where copies have a ``state_layout``, telemetry
-    takes the place of ``joint_position``, ``joint_velocity``, ``tilt`` and ``gyroscope`` in ``"state"``: each
-    robot is read as :class:`~surefoot.wrappers.FootSensors` reads it alone.
+    It wraps a vector environment whose copies are wrapped in :class:`~surefoot.wrappers.TruthRow`, or a
+    :class:`~surefoot.envs.batch.BatchVectorEnv`. The observation is a ``Dict`` without truth and with
+    ``"foot_raw"`` (N, K) counts. If the copies have a ``state_layout``, telemetry replaces
+    ``joint_position``, ``joint_velocity``, ``tilt`` and ``gyroscope`` in ``"state"``. Each robot has the
+    readings that :class:`~surefoot.wrappers.FootSensors` would give it.
 
     ``infos["surefoot"]["truth"]`` holds (N, ...) arrays
     (:func:`surefoot.envs.instrumentation.means.mean_truth`).
 
-    All three autoreset modes are served. Sensors stay as they are when a robot is reset, and drift on, as
-    hardware does; ``fresh=True`` gives a robot that is reset fresh ones. A reset with a seed draws fresh
-    ones for the robots that are seeded; ``options={"surefoot": {"sensors": "fresh" or "keep"}}`` decides for
-    one reset. Each robot draws from streams of its own: a copy that is reset with a seed has the sensors of a
-    :class:`~surefoot.wrappers.FootSensors` that is reset with it, wherever it stands.
+    All three autoreset modes are supported. A reset of a robot keeps its sensors, which continue to drift as
+    hardware does; ``fresh=True`` draws fresh ones. A reset with a seed draws fresh sensors for the robots
+    that are seeded, and ``options={"surefoot": {"sensors": "fresh" or "keep"}}`` decides for one reset. Each
+    robot has its own random streams: a copy that is reset with a seed has the sensors of a
+    :class:`~surefoot.wrappers.FootSensors` that is reset with it, at any place in the vector.
 
     Args:
         env: A vector environment.
-        config: The instruments under the feet, or all sensors as one value, a
+        config: The instruments under the feet, or all sensors as one
             :class:`~surefoot.wrappers.FootEquipment`.
-        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
-        options: Fields of :class:`~surefoot.wrappers.FootEquipment`, as of
+        measure_state: Whether encoders and IMU replace the parts that a ``state_layout`` names.
+        options: Fields of :class:`~surefoot.wrappers.FootEquipment`, as for
             :class:`~surefoot.wrappers.FootSensors`.
 
     Attributes:
         sensors: The sensors of all robots.
 
     Raises:
-        TypeError: If copies have no row of truth, or show readings already.
+        TypeError: If copies have no row of truth, or already have sensors.
         ValueError: If copies differ in their observation space or in the robot, a preset is unknown, a value
             is refused, or the sensors do not fit the robot.
     """
@@ -87,16 +87,16 @@ class VectorFootSensors(OfOneVersion, BatchSensorsFace, AnyVectorWrapper):
         """Reset all robots, or those of ``options["reset_mask"]``.
 
         Args:
-            seed: A number or one a robot: seeds the environments, and the sensors of those that are seeded.
-            options: ``options["surefoot"]["sensors"]`` may be ``"fresh"`` or ``"keep"``; the rest is handed
-                to the environments.
+            seed: A number or one per robot. It seeds the environments and the sensors.
+            options: ``options["surefoot"]["sensors"]`` may be ``"fresh"`` or ``"keep"``. Other options are
+                passed to the environments.
 
         Raises:
             ValueError: If a choice does not exist.
         """
         rest, asked = split_options(options, "sensors", "calibration")
         mask = None if rest is None else rest.get("reset_mask")
-        # Vector environments take the mask out of what they are given.
+        # Vector environments remove the mask from the options.
         observations, infos = self.env.reset(seed=seed, options=None if rest is None else dict(rest))
         self._done[slice(None) if mask is None else mask] = False
         self.sensors.reset(observations[TRUTH_KEY], mask, seed, asked)

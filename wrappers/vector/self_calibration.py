@@ -1,4 +1,4 @@
-"""Self-calibration of many robots while they walk, each with its knowledge of itself."""
+"""Self-calibration of many robots while they walk, each with its own state estimates."""
 
 from typing import Any
 
@@ -20,20 +20,19 @@ class VectorSelfCalibration(OfOneVersion, BatchCalibrationFace, AnyVectorWrapper
     """Calibrate the readings of :class:`VectorFootSensors` while the robots move, and observe the result.
 
     The observation loses ``"foot_raw"`` and gains the parts that ``show`` names, ``infos["surefoot"]`` gains
-    ``"parameters"``, ``"covariance"``, ``"flags"``, ``"vgrf"``, ``"reference"`` and ``"lag"``: all as
-    :class:`~surefoot.wrappers.SelfCalibration` has it for one robot, in arrays with the robots in front. Each
-    robot has beliefs and a calibrator of its own, and its learning does not depend on who stands beside
-    it.
+    ``"parameters"``, ``"covariance"``, ``"flags"``, ``"vgrf"``, ``"reference"`` and ``"lag"``: all as in
+    :class:`~surefoot.wrappers.SelfCalibration`, with the robots as first axis of each array. Each robot has
+    its own beliefs and calibrator, and its calibration does not depend on the other robots.
 
-    The calibration is kept when a robot is reset. Nothing is learnt from samples of two episodes, nor from
-    robots that are not upright (:class:`~surefoot.robot.beliefs.contacts.Upright`). Calibration starts fresh
-    at a reset with a seed or with fresh sensors, with ``fresh=True`` at each reset, and
-    ``options={"surefoot": {"calibration": "fresh" or "keep"}}`` decides for one.
+    A reset keeps the calibration of a robot. Samples of different episodes are never combined, and robots
+    that are not upright do not calibrate (:class:`~surefoot.robot.beliefs.contacts.Upright`). Calibration
+    starts again at a reset with a seed or with fresh sensors, and with ``fresh=True`` at each reset.
+    ``options={"surefoot": {"calibration": "fresh" or "keep"}}`` decides for one reset.
 
     Args:
         env: A vector environment with :class:`VectorFootSensors` around it.
         method: A key of :data:`surefoot.calibration.METHODS`.
-        options: ``initial``, ``show``, ``lag``, ``fresh``, ``errors`` and ``stream``, as of
+        options: ``initial``, ``show``, ``lag``, ``fresh``, ``errors`` and ``stream``, as for
             :class:`~surefoot.wrappers.SelfCalibration`, and options of the method.
 
     Attributes:
@@ -41,8 +40,8 @@ class VectorSelfCalibration(OfOneVersion, BatchCalibrationFace, AnyVectorWrapper
 
     Raises:
         TypeError: If there is no :class:`VectorFootSensors` below, or another wrapper of this kind.
-        ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
-            that a nominal model can be made of.
+        ValueError: If the method or an option does not exist, a value is out of range, or no nominal model
+            can be built for the robot.
     """
 
     def __init__(
@@ -63,11 +62,12 @@ class VectorSelfCalibration(OfOneVersion, BatchCalibrationFace, AnyVectorWrapper
         self.observation_space = batch_space(single, env.num_envs)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, Infos]:
-        """Reset all robots, or those of ``options["reset_mask"]``, with calibration kept or fresh.
+        """Reset all robots, or those of ``options["reset_mask"]``, and keep or restart their calibration.
 
         Args:
-            seed: A number or one a robot: calibration of robots that are seeded starts fresh.
-            options: ``options["surefoot"]["calibration"]`` may be ``"fresh"`` or ``"keep"``; handed on.
+            seed: A number or one per robot. The calibration of robots with a seed starts again.
+            options: ``options["surefoot"]["calibration"]`` may be ``"fresh"`` or ``"keep"``. All options are
+                passed on.
 
         Raises:
             ValueError: If a choice does not exist.
