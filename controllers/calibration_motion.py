@@ -1,4 +1,4 @@
-"""A motion by which a robot calibrates its feet: joint targets over time, until it is certain."""
+"""Play a calibration motion: joint targets over time, until the calibrator is certain."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,30 +11,30 @@ from surefoot.files import AnyPath, read_columns
 
 
 class CalibrationMotion:
-    """Plays a file of ``surefoot calibrate motion``, a row a call, and stops at a rest when certain.
+    """Play a file of ``surefoot calibrate motion``, one row per call, and stop at a rest when certain.
 
-    Reads of an observation ``"cop_std"``, as :class:`~surefoot.wrappers.SelfCalibration` shows it, or a
-    robot's own loop from the estimate: the root of the diagonal of ``cop_covariance``. Without it the motion
-    is played to its end. Keep calling after that: :attr:`wanted` says when the robot should calibrate again,
-    which :meth:`start` begins.
+    It reads ``"cop_std"`` from the observation, as :class:`~surefoot.wrappers.SelfCalibration` adds it; on a
+    robot it is the square root of the diagonal of ``estimate.cop_covariance``. Without it the motion is
+    played to its end. Continue to call it afterwards: :attr:`wanted` becomes true when the robot should
+    calibrate again, and :meth:`start` begins the motion again.
 
     Args:
         targets: Targets of the M motors in rad, shape (N, M).
-        rest: Rows at which the robot stands in its first posture and may stop, shape (N,).
+        rest: Whether the robot is in its first posture and may stop, shape (N,).
         motors: Names of the motors.
         dt: Time between rows in s.
-        stance: Feet (left, right) that are planned to bear weight, shape (N, 2).
-        swing: Feet that are planned to be in the air, shape (N, 2).
-        enough: Standard deviation of the centre of pressure in m at which it stops; 0 never stops.
-        again: That at which it wants to start again in m; 1.5 times ``enough`` when not given.
+        stance: Whether each foot (left, right) is planned to bear weight, shape (N, 2).
+        swing: Whether each foot is planned to be in the air, shape (N, 2).
+        enough: Standard deviation of the centre of pressure in m at which the motion stops; 0 never stops it.
+        again: Standard deviation in m above which :attr:`wanted` is true; 1.5 times ``enough`` by default.
 
     Attributes:
         done: Whether the motion is over.
-        stance: Feet planned to bear weight now, for the robot's reference, shape (2,).
-        swing: Feet planned to be in the air now, shape (2,).
+        stance: Whether each foot is planned to bear weight now, for the robot's reference, shape (2,).
+        swing: Whether each foot is planned to be in the air now, shape (2,).
 
     Raises:
-        ValueError: If a shape does not fit, or the last row is no rest.
+        ValueError: If a shape does not fit, or the robot may not stop at the last row.
 
     >>> motion = CalibrationMotion([[0.1], [0.2], [0.1]], [False, False, True], ["knee"], dt=0.1)
     >>> [motion({}).item() for _ in range(4)], motion.done
@@ -79,7 +79,7 @@ class CalibrationMotion:
             **options: ``enough`` and ``again``.
 
         Raises:
-            ValueError: If it is no such table, a column is missing, or a number is not finite.
+            ValueError: If the file is not such a table, a column is missing, or a number is not finite.
         """
         feet = [f"{phase}_{foot}_1" for phase in ("stance", "swing") for foot in ("left", "right")]
         table = read_columns(path, ("time_s", "rest_1", *feet), "write it with surefoot calibrate motion")
@@ -106,12 +106,12 @@ class CalibrationMotion:
         return self.done and not self.certain
 
     def start(self) -> None:
-        """Begin from the first row."""
+        """Start at the first row."""
         self._next, self.done = 0, False
         self.stance, self.swing = self._stance[0], self._swing[0]
 
     def __call__(self, observation: Mapping[str, Any]) -> NDArray[np.float64]:
-        """Return the next targets in rad, (M,), the last ones again once it is done, for an observation."""
+        """Return the next targets in rad, shape (M,); after the end, the last ones."""
         if "cop_std" in observation:
             self._certainty.update(observation["cop_std"])
         if not self.done:

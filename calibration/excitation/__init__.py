@@ -1,1 +1,1 @@
-"""How well a motion lets the feet be calibrated: its bound, plans of motions, and when a robot is certain."""
+"""Calibration motions: their posterior bound, plans of motions, and a measure of certainty."""

@@ -1,13 +1,12 @@
-r"""How well a log can be calibrated at all: the posterior Cramér-Rao bound.
+r"""Posterior Cramér-Rao bound of the calibration of a log.
 
-Scales and zeros that are random walks, seen through rows that are linear in them with independent normal
-errors, can be known no better than with the covariance of the recursion (Tichavský, Muravchik and Nehorai,
-1998, in the linear case). It is the filter's own without its estimates: its rows are made with the *true*
-scales and offsets, which a simulated log knows, nobody holds the robot, and how bad the sensors are and how
-loud rows are is as stated. So it holds for the model as it is assumed
-(:class:`~surefoot.calibration.moment.config.Moment`), on the motion that the log holds: where a robot
-stands still, it is high. A mass that the filter only considers is free here, as nothing forbids to estimate
-it.
+Scales and zeros that are random walks, measured by linear rows with independent normal errors, cannot be
+estimated with a smaller covariance than that of the recursion (Tichavský, Muravchik and Nehorai, 1998, in the
+linear case). The recursion is that of the filter without its estimates: its rows are evaluated at the *true*
+scales and offsets, which are known for a simulated log, no external wrench acts, and the severity of the
+sensors and the noise of the rows are the configured ones. The bound therefore holds for the assumed model
+(:class:`~surefoot.calibration.moment.config.Moment`) and for the motion of the log; it is high for a robot
+that stands still. A mass that the filter only considers (Schmidt) is estimated here.
 """
 
 from typing import NamedTuple
@@ -29,10 +28,10 @@ from surefoot.calibration.setup import OnlineSetup
 
 
 class Bound(NamedTuple):
-    """Standard deviations that no estimate can be below on average, at N samples of K channels."""
+    """Lower bounds of standard deviations at N samples of K channels."""
 
     force: Floats  # of single channels in N, shape (N, K)
-    vgrf: Floats  # of the vertical force on both feet in N, shape (N,)
+    vgrf: Floats  # of the vertical force on all feet in N, shape (N,)
     cop: Floats
     """Of the centre of pressure along x and y in the level frame in m, shape (N, 2); NaN without load."""
     covariance: Floats  # of (a, b) against the starting map at the end, shape (2K, 2K)
@@ -48,11 +47,11 @@ def posterior_bound(
     """Compute the bound of a log.
 
     Args:
-        setup: Knowledge of an estimator: layout, mass, starting map, time between samples, lag.
-        raw: Readings, shape (N, K), all of them there.
-        reference: The robot's beliefs, every field with N rows.
+        setup: The estimator's setup: layout, mass, starting map, time between samples, lag.
+        raw: Readings, shape (N, K), without gaps.
+        reference: The robot's reference, with N rows in each field.
         truth: The true scales and offsets at each sample, shape (N, K) each.
-        config: The model; the default options of the estimator when not given.
+        config: The model; by default the estimator's default options.
 
     Raises:
         ValueError: If a shape does not fit, or a reading is missing.
@@ -70,10 +69,10 @@ def posterior_bound(
 
 
 class Passage(NamedTuple):
-    r"""The covariance after a piece of a log: :math:`\Phi S (1 + \Psi S)^{-1} \Phi' + \Gamma`.
+    r"""Map of the covariance over a part of a log: :math:`\Phi S (1 + \Psi S)^{-1} \Phi' + \Gamma`.
 
-    A random walk has :math:`\Gamma = Q`, rows have :math:`\Psi = H' R^{-1} H`, and pieces one after the
-    other are a piece again (Redheffer's star product), so that a motion of many blocks costs one solution.
+    A random walk has :math:`\Gamma = Q`, rows have :math:`\Psi = H' R^{-1} H`, and the composition of two
+    maps is such a map again (Redheffer's star product), so that a motion of many blocks costs one solution.
     """
 
     carried: Floats  # :math:`\Phi`, shape (N, N)
@@ -82,23 +81,23 @@ class Passage(NamedTuple):
 
     @classmethod
     def move(cls, carried: Floats, added: Floats) -> "Passage":
-        """Return that of a transition which adds a variance."""
+        """Return the map of a transition that adds a variance."""
         return cls(carried, np.zeros_like(added), added)
 
     @classmethod
     def learn(cls, H: Floats, variance: Floats) -> "Passage":
-        """Return that of rows, shapes (m, N) and (m, m)."""
+        """Return the map of measurement rows, shapes (m, N) and (m, m)."""
         N = H.shape[1]
         return cls(np.eye(N), H.T @ np.linalg.solve(variance, H), np.zeros((N, N)))
 
     def after(self, covariance: Floats) -> Floats:
-        """Return the covariance after it, shape (N, N), for that before."""
+        """Return the covariance after this part, shape (N, N), for the one before it."""
         inner = np.eye(len(covariance)) + covariance @ self.information
         found: Floats = self.carried @ np.linalg.solve(inner, covariance) @ self.carried.T + self.added
         return 0.5 * (found + found.T)
 
     def then(self, other: "Passage") -> "Passage":
-        """Return this piece with another one behind it."""
+        """Return the map of this part followed by another one."""
         inner = np.eye(len(self.added)) + self.added @ other.information
         carried, added = np.linalg.solve(inner, np.stack([self.carried, self.added]))
         return Passage(
@@ -109,10 +108,10 @@ class Passage(NamedTuple):
 
 
 class LogPassages:
-    """The passages of a log's blocks, made of the truth; arguments and errors are of :func:`posterior_bound`.
+    """The maps of a log's blocks, evaluated at the truth; arguments as in :func:`posterior_bound`.
 
-    Of readings ``raw``, (samples, K), and the covariance ``start`` of the unknowns, (N, N); ``blocks`` are
-    the sample that each block ends with, and the block's effect on a covariance.
+    ``raw`` are the readings, (samples, K), ``start`` is the initial covariance of the unknowns, (N, N), and
+    ``blocks`` are pairs of the last sample of a block and its map.
     """
 
     def __init__(
@@ -137,14 +136,14 @@ class LogPassages:
         self.blocks = self._read(reference)
 
     def whole(self) -> Passage:
-        """Return the passage of the whole log, the momentum unknown at its beginning."""
+        """Return the map of the whole log, with an unknown initial momentum."""
         whole = self._begin(None)
         for _, passage in self.blocks:
             whole = whole.then(passage)
         return whole
 
     def of_parameters(self, covariance: Floats, sample: int = -1) -> Floats:
-        """Return the covariance of (a, b) of each channel, shape (2K, 2K), for that of the unknowns then."""
+        """Return the covariance of (a, b) of all channels, shape (2K, 2K), for that of the unknowns."""
         part, weight = self._columns.map, self._setup.weight
         known, turned = self._as_force(self._path[sample])
         learnt: Floats = map_covariance(
@@ -157,9 +156,9 @@ class LogPassages:
         return learnt
 
     def error_rows(self, part: slice) -> tuple[Floats, Floats, Floats]:
-        """Return the derivatives of forces, vertical force and CoP of some samples by (a, b).
+        """Return the derivatives of forces, vertical force and CoP of some samples with respect to (a, b).
 
-        Rows that take them to forces in N, shape (n, K, 2K), to the vertical force on all feet in N, (n, 1,
+        Rows that map (a, b) to forces in N, shape (n, K, 2K), to the vertical force on all feet in N, (n, 1,
         2K), and to the centre of pressure in m, (n, 2, 2K); NaN without load.
         """
         weight, columns = self._setup.weight, self._columns
@@ -175,7 +174,7 @@ class LogPassages:
         return to_force, to_vgrf, to_pressure
 
     def deviations(self, covariance: Floats, part: slice) -> tuple[Floats, Floats, Floats]:
-        """Return deviations of forces, vertical force and CoP of samples, by the unknowns' covariance."""
+        """Return standard deviations of forces, vertical force and CoP of samples, for a covariance."""
         learnt = np.array([self.of_parameters(covariance, k) for k in range(*part.indices(len(self.raw)))])
         force, vgrf, cop = (
             np.sqrt(np.einsum("nij,njk,nik->ni", rows, learnt, rows)) for rows in self.error_rows(part)
@@ -185,7 +184,7 @@ class LogPassages:
     def _as_force(self, known: Floats) -> tuple[Floats, Floats]:
         """Return the map with drift as a force u = a z, and the derivatives of the filter's unknowns (N, N).
 
-        Here zeros drift in readings, by z, which says nothing of scales.
+        Here zeros drift in units of readings, by z, so that drift contains no information on scales.
         """
         scale, drift = self._columns.scale, self._columns.drift
         a, z = known[scale], known[drift]
@@ -205,7 +204,7 @@ class LogPassages:
         )
 
     def _read(self, reference: Reference | MomentumReference) -> list[tuple[int, Passage]]:
-        """Read the log as the filter does, and return its blocks."""
+        """Process the log as the filter does, and return its blocks."""
         filter_, setup = self._filter, self._setup
         momentum = isinstance(reference, MomentumReference)
         state, last = filter_.init(self.raw[0]), None
@@ -216,7 +215,7 @@ class LogPassages:
             self._force[k], self._rows[k] = sample.force, sample.rows.sum(axis=0)
             state = filter_.blocks.collect(state._replace(front=front), sample, momentum, setup.dt)
             if state.waiting <= 0:
-                # Something was wrong with a sample, and the momentum starts again.
+                # A sample was rejected, and the momentum starts again.
                 last = None
             if filter_.blocks.full(state):
                 block = filter_.blocks.block(state)
@@ -226,7 +225,7 @@ class LogPassages:
         return blocks
 
     def _pass(self, block: Block, k: int, last: Rows | None) -> tuple[Passage, Rows]:
-        """Return the passage of a block, and its rows; ``last`` are those of the block before."""
+        """Return the map of a block and its rows; ``last`` are the rows of the previous block."""
         columns, T = self._columns, block.duration
         N = columns.size
         known, turned = self._as_force(self._path[k])
@@ -251,7 +250,7 @@ class LogPassages:
         return passage.then(Passage.move(forward, walk)), rows
 
     def _begin(self, rows: Rows | None) -> Passage:
-        """Let the momentum and the wrench start again, from a measurement if there is one."""
+        """Return the map that restarts momentum and wrench, from a measurement if there is one."""
         columns, N = self._columns, self._columns.size
         carried, added = np.eye(N), np.zeros((N, N))
         for part in (columns.momentum, columns.wrench):

@@ -1,4 +1,4 @@
-"""When a calibrator is certain enough, and when it no longer is."""
+"""Decide whether a calibrator is certain enough, with hysteresis."""
 
 import math
 
@@ -7,16 +7,16 @@ from numpy.typing import ArrayLike
 
 from surefoot.checks import check_value
 
-ENOUGH = 1.0e-3  # standard deviation of the centre of pressure in m at which a robot is certain
-AGAIN = 1.5  # by what that may rise, as a factor, before the robot asks to be calibrated again
+ENOUGH = 1.0e-3  # standard deviation of the centre of pressure in m at which a robot is certain; chosen
+AGAIN = 1.5  # factor by which it may rise before the robot should calibrate again; chosen
 
 
 class Certainty:
-    """Watches the standard deviation of the centre of pressure, averaged over ``memory`` s.
+    """Monitor the standard deviation of the centre of pressure, averaged over ``memory`` s.
 
-    A robot becomes certain at ``enough`` m and stays so up to ``again``, by default 1.5 times that, so that
-    it does not waver. ``std`` is the average in m, infinite before the first. ValueError if a number is not
-    positive, or ``again`` is less than ``enough``.
+    A robot becomes certain at ``enough`` m and stays certain up to ``again``, by default 1.5 times that,
+    which avoids switching back and forth. ``std`` is the average in m, infinite before the first value.
+    ValueError if a number is not positive, or ``again`` is less than ``enough``.
 
     >>> certainty = Certainty(enough=1e-3, again=1.5e-3, memory=0.1, dt=0.1)
     >>> [certainty.update((std, 0.0)) for std in (2e-3, 0.5e-3, 1.4e-3, 3e-3)]
@@ -38,11 +38,11 @@ class Certainty:
         self.forget()
 
     def forget(self) -> None:
-        """Start again: nothing is known."""
+        """Forget all values."""
         self.std, self.certain = math.inf, False
 
     def update(self, cop_std: ArrayLike) -> bool:
-        """Take in finite deviations along x and y in m, (2,); whether the robot is certain."""
+        """Add standard deviations along x and y in m, shape (2,), and return whether the robot is certain."""
         variance = float(np.sum(np.square(np.asarray(cop_std, dtype=np.float64))))
         if math.isfinite(variance):
             before = variance if math.isinf(self.std) else self.std**2

@@ -37,8 +37,8 @@ class FootMotion(NamedTuple):
     """One motion that a robot can do, n samples long.
 
     Attributes:
-        force: Readings of the feet's channels without errors in N (or the channel's unit), shape (n, K).
-        reference: The robot's beliefs at those samples, less the lag.
+        force: Ideal readings of the channels in N (or the channel's unit), shape (n, K).
+        reference: The robot's reference at those samples, shifted by the lag.
     """
 
     force: Floats
@@ -47,35 +47,35 @@ class FootMotion(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MovingRobot:
-    """A robot as a planner sees it."""
+    """A robot for the planner."""
 
     mass: float
     """In kg."""
 
     motions: Mapping[str, FootMotion]
-    """What it can do, by name; each starts and ends in one and the same posture."""
+    """Possible motions by name. All start and end in the same posture."""
 
     dt: float = 1.0 / 80.0
     """Time between samples in s."""
 
     lag: int = 2
-    """How many samples ago the foot sample was taken that a reference describes."""
+    """Delay of the reference in samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class FootExcitation:
-    """Motions to do, and their gain."""
+    """Chosen motions, and their gain."""
 
-    goal: str  # the quantity to lower
+    goal: str  # one of :data:`GOALS`
     motions: tuple[str, ...]  # their names, in order
     time: Floats  # time after each in s, shape (S,)
-    before: float  # the goal's standard deviation before, in m for the centre of pressure and N for a channel
-    std: Floats  # that after each motion, shape (S,)
+    before: float  # initial standard deviation of the goal, in m (centre of pressure) or N (channel)
+    std: Floats  # standard deviation after each motion, shape (S,)
     rates: Mapping[str, float]
-    """Information per second that each possible motion would bring first, in nats: the logarithm of standard
-    deviation before by after, over its duration."""
-    covariance_before: Floats  # of (a, b) of all channels before, shape (2K, 2K)
-    covariance: Floats  # that after the last
+    """Information per second of each possible motion when it is played first, in nats: the logarithm of the
+    ratio of standard deviations before and after, divided by its duration."""
+    covariance_before: Floats  # initial covariance of (a, b) of all channels, shape (2K, 2K)
+    covariance: Floats  # covariance after the last motion
 
 
 def plan_foot_excitation(
@@ -88,20 +88,20 @@ def plan_foot_excitation(
     motions: Sequence[str] | None = None,
     **options: Any,
 ) -> FootExcitation:
-    """Choose motions, one after the other.
+    """Choose a sequence of motions.
 
     Args:
-        layout: How the channels make up the feet's wrenches.
+        layout: The map from channels to wrenches of the feet.
         robot: The robot and its motions.
-        budget: Most time in s.
+        budget: Maximum duration in s.
         goal: ``"cop"``: the root mean square of the centre of pressure's standard deviation over all samples
             of all motions, in m; ``"channel"``: that of the worst channel's force in N.
-        enough: The standard deviation of the goal at which the plan ends early.
-        motions: Motions to do in this order in place of a choice, to learn their gain.
+        enough: Standard deviation of the goal at which the plan ends early.
+        motions: A fixed sequence to evaluate instead of a search.
         **options: Fields of :class:`~surefoot.calibration.OnlineSetup` and of the moment filter.
 
     Raises:
-        ValueError: If an argument has no meaning, there is no such motion, or none fits into the budget.
+        ValueError: If an argument is out of its range, a motion does not exist, or none fits into the budget.
     """
     check_value("budget", budget, positive=True)
     if goal not in GOALS:

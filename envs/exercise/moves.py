@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Floats
 
 SWAYS: Final = ("forward", "left", "forward left", "forward right")
-"""Lines of the sways over both feet, there and back."""
+"""Directions of the sways over both feet."""
 
 EXTENTS: Final = (1.4, 1.0, 0.5)
 """Extents of the offered sways, as shares of a path. The first that a robot can do is used."""
@@ -24,22 +24,22 @@ class Move(NamedTuple):
     start: float  # where it starts, s
     end: float  # where it ends, s
     time: float  # duration in multiples of that of a sway
-    ends: bool = False  # whether a motion ends with it: the robot is back in its first posture
+    ends: bool = False  # whether a motion ends with it, in the first posture
 
 
 class Schedule(NamedTuple):
-    """An episode's moves one after another, shape (moves,), or (N, moves) of N robots."""
+    """The sequence of moves of an episode, shape (moves,), or (N, moves) for N robots."""
 
-    end: Floats  # when each ends in s; infinite after the last
-    total: Any  # when the last one ends
-    path: NDArray[np.intp]  # number of its path
-    start: Floats  # where on it the move starts
-    way: Floats  # how far it goes
-    length: Floats  # how long it takes in s
+    end: Floats  # end of each move in s; infinite after the last
+    total: Any  # end of the last move in s
+    path: NDArray[np.intp]  # index of the path
+    start: Floats  # start of the move on the path
+    way: Floats  # length of the move on the path
+    length: Floats  # duration in s
 
     @classmethod
     def join(cls, plans: Sequence["Schedule"]) -> "Schedule":
-        """Put the moves of many robots into one; where some have fewer, nothing follows."""
+        """Join the moves of many robots, padded to the longest sequence."""
         most = max(plan.end.size for plan in plans)
 
         def rows(name: str, filled: float) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""Calibrates the feet of N robots, each as it would be alone, whatever gathers the robots."""
+"""Calibration of N robots, independent of the kind of vector environment."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,21 +16,21 @@ Mask = NDArray[np.bool_]
 
 
 class BatchCalibration:
-    """Calibrates the readings of :class:`BatchSensors`, and makes the observations of the feet.
+    """Calibrate the readings of :class:`BatchSensors`, and compute the observations of the feet.
 
-    Each robot has a calibrator of its own. Options are those of :class:`~surefoot.wrappers.SelfCalibration`;
-    the owner is the wrapper that asks, for messages.
+    Each robot has its own calibrator, with the result that it would have alone. Options are those of
+    :class:`~surefoot.wrappers.SelfCalibration`; ``owner`` is the name of the wrapper, for messages.
 
     Attributes:
-        robots: The beliefs of each robot, and its calibrator.
-        setup: How they are calibrated.
-        shown: The present observation, with the robots in front; arrays that later steps do not change.
-        ended: The same before the last episodes started.
+        robots: The beliefs and the calibrator of each robot.
+        setup: The common setup.
+        shown: The present observation, with the robots as first axis. Later steps do not change its arrays.
+        ended: The observation before the last episodes started.
         told: The present ``info``.
 
     Raises:
-        ValueError: If the method or an option does not exist, a value has no meaning, or the robot is none
-            that a nominal model can be made of: one free body, hinge joints, feet.
+        ValueError: If the method or an option does not exist, a value is out of range, or no nominal model
+            can be built for the robot, which needs one free body, hinge joints and feet.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class BatchCalibration:
         sensors.listen(self)
 
     def step(self, starting: Mask | None, fell: Mask | None) -> None:
-        """Calibrate by one sample, after the sensors stepped; as of :class:`Listener`."""
+        """Calibrate by one sample after a step of the sensors, see :class:`Listener`."""
         if starting is not None:
             self._begin(np.flatnonzero(starting).tolist(), [None] * len(starting), None)
         self._sample(np.arange(len(self.robots)))
@@ -55,22 +55,22 @@ class BatchCalibration:
             self.robots[i].retract()
 
     def begin(self, mask: Mask, seeds: Sequence[int | None], choice: str | None) -> None:
-        """Take in robots that were reset, after their sensors; as of :class:`Listener`."""
+        """Process robots that were reset, after their sensors, see :class:`Listener`."""
         which = np.flatnonzero(mask)
         self.ended = self.shown
         self._begin(which.tolist(), seeds, choice)
         self._sample(which)
 
     def around(self, observed: Mapping[str, Any], parts: Mapping[str, Any]) -> dict[str, Any]:
-        """Put parts beside the sensors' observation."""
+        """Add parts to the observation of the sensors."""
         return {**drop_counts(observed, self.setup.show), **parts}
 
     def last_of(self, robot: int) -> dict[str, NDArray[Any]]:
-        """Return one robot's observation before its last episode started, as arrays of its own."""
+        """Return a copy of one robot's observation before its last episode started."""
         return {name: part[robot].copy() for name, part in self.ended.items()}
 
     def _begin(self, which: list[int], seeds: Sequence[int | None], choice: str | None) -> None:
-        """Start episodes of robots; warn once, about the first robot that has learnt nothing for long."""
+        """Start episodes of robots. Warn once, about the first robot that could not calibrate for long."""
         for i in which:
             robot = self.robots[i]
             self._judged = self._judged or robot.judge()
@@ -78,10 +78,10 @@ class BatchCalibration:
         self._gather()
 
     def _sample(self, which: NDArray[np.intp]) -> None:
-        """Take in one sample of some robots."""
+        """Process one sample of some robots."""
         sensors, count = self._sensors, len(self.robots)
         readers, natives = sensors.together, self._together or self._gather()
-        # What was shown of a robot that has other records since then stands in `shown` alone.
+        # A robot with new records has its last observation in `shown` only.
         if readers and natives and (len(which) == count or natives.sampled.all()):
             now, plans = sensors.time[which], None if sensors.plans is None else sensors.plans[which]
             then = self.robots[0].reference_time_at(now)
@@ -94,7 +94,7 @@ class BatchCalibration:
         self.told["lag"] = np.full(count, self.robots[0].late)
 
     def _gather(self) -> ManySamples | None:
-        """Return the library for samples of all robots; ``None`` where Python does any of them."""
+        """Return the library's object for samples of all robots; ``None`` if any robot runs in Python."""
         backends = [robot.backend for robot in self.robots if robot.made]
         if self._together is None or self._together.robots != backends:
             natives = [one for one in backends if isinstance(one, NativeSample)]
@@ -116,7 +116,7 @@ class BatchCalibrationFace(CalibrationFace):
 
 
 def _put(rows: Sequence[Any], which: list[int], old: Any) -> Any:
-    """Put samples of some robots side by side, in the place of their old ones, branch by branch."""
+    """Replace the samples of some robots in a tree of arrays of all robots."""
     if isinstance(rows[0], dict):
         return {name: _put([row[name] for row in rows], which, (old or {}).get(name)) for name in rows[0]}
     if rows[0] is None:
