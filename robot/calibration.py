@@ -131,6 +131,8 @@ class CalibrationSetup:
             usual["ripple"] = ALIASED
         if instruments.residue > Moment.tare_noise and self.method == "moment":
             usual["tare_noise"] = instruments.residue
+        if instruments.cross_talk is not None and self.method == "moment":
+            usual["cross_talk"] = instruments.cross_talk
         self.options = usual | layout_options(self.layout, drawing) | options
         self.touching, self.by_momentum = Touching.of(drawing), method_entry(self.method).momentum
         self._nominal = NominalModel.of_drawing(drawing, self.errors)

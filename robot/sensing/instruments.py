@@ -241,6 +241,8 @@ class Instruments:
         space: Box of the readings in counts, shape (K,).
         age: Mean age of a reading when it is taken in s; that of the cells if there are both kinds.
         ages: Mean age of each channel in s, shape (K,).
+        cross_talk: Share of a load that another axis of a six-axis sensor shows, by its data sheet; ``None``
+            without such sensors.
         residue: What cells of a foot in swing typically still read of the load before, in body weights.
 
     Raises:
@@ -293,6 +295,8 @@ class Instruments:
         cells = [part.config for part in self.parts if isinstance(part.config, LoadCells)]
         # A foot bears the weight on its cells, and then hangs.
         self.residue = max((len(drawing.feet) * one.residue / one.channels for one in cells), default=0.0)
+        six_axis = [part.config for part in self.parts if isinstance(part.config, ForceTorque)]
+        self.cross_talk = six_axis[0].cross_talk_std if six_axis else None
         self.ages = self.join([np.full(part.channels, part.age) for part in self.parts])
         self._add_faults()
 
