@@ -14,7 +14,7 @@ sound data:
     P_{unknown} = \frac{p q}{p q + (1 - p) \sum_j w_j t_j}.
 
 A cause is therefore certain only if undoing it leaves residuals that sound data have. Both p and q are
-measured by leaving one kind of mistake out of the list at a time (``benchmarks/spoilt_logs.py``).
+measured by leaving one kind of mistake out of the list at a time (``tests/spoilt/_spoilt_logs.py``).
 
 The best of c alternatives with d unknowns of their own, fitted to n rows, gains :math:`\frac d2 \log n + \log
 c` by chance (Schwarz, 1978), which is taken off its evidence. Errors of the model repeat in many rows. Where

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from surefoot.experiments.study.statistics import mean_interval
 from surefoot.experiments.study.tables import Frame
 from surefoot.files import atomic_path
 
@@ -137,19 +136,6 @@ def draw_curve(
     axes.plot(x, y, color=look.colour, **style)
     if low is not None:
         axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
-
-
-def draw_mean(axes: "Axes", values: Any, factor: float, at: float, name: str) -> None:
-    """Draw a mean with its 95 % interval at a height."""
-    interval, look = mean_interval(values), look_of(name)
-    # What is nothing, a logarithmic axis cannot show.
-    if interval.n == 0 or not interval.mean > 1e-9:
-        return
-    mean, half = factor * interval.mean, factor * float(np.nan_to_num(interval.half))
-    # On a logarithmic axis an interval that reaches below zero is cut off near the mean.
-    reach: Any = [[min(half, 0.9 * mean)], [half]]
-    style: Any = {"color": look.colour, "marker": look.marker, "markersize": 4.5, "capsize": 2.0}
-    axes.errorbar(mean, at, xerr=reach, linewidth=1.2, **style)
 
 
 def limit_to(axes: "Axes", values: Any, least: float) -> None:

@@ -161,7 +161,7 @@ def save_tables(folder: Path, tables: Iterable[Table], prefix: str = "", by: str
 def command_line() -> str:
     """Command that runs now."""
     script = Path(sys.argv[0])
-    program = ["python", f"benchmarks/{script.name}"] if script.parent.name == "benchmarks" else ["surefoot"]
+    program = ["python", script.as_posix()] if script.suffix == ".py" else ["surefoot"]
     return shlex.join([*program, *sys.argv[1:]])
 
 
@@ -172,13 +172,6 @@ def failure_section(failures: Mapping[str, str]) -> tuple[Section, ...]:
     rows = tuple((name, error.splitlines()[-1]) for name, error in failures.items())
     table = Table("failed", f"{plural(len(rows), 'case')} failed", ("case", "raised"), rows)
     return (Section("failed", "Cases that failed", tables=(table,)),)
-
-
-def repeat_section(text: str, commands: Sequence[str], seconds: Mapping[str, float]) -> Section:
-    """Return the section about how to repeat a study whose stages took some seconds."""
-    took = ", ".join(f"{what} {time:.0f} s" for what, time in seconds.items())
-    kept = f"This run took: {took}. What is finished is kept, so that a run goes on where it stopped."
-    return Section("repeat", "Repeat any part", (text, kept), commands=tuple(commands))
 
 
 def save_frames(

@@ -254,33 +254,3 @@ def sentence(title: str) -> str:
 def flat(text: str) -> str:
     """Return a text that the source wraps and indents as one line."""
     return " ".join(text.split())
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A claim: the quantity with its unit, its aim, its value, and whether it was met."""
-
-    what: str
-    aim: str
-    measured: str
-    met: bool
-
-
-def at_most(what: str, value: float, limit: float, measured: str = "") -> Claim:
-    """Return the claim that a value is no larger than a limit.
-
-    >>> at_most("CoP rmse (mm)", 1.234, 2.0)
-    Claim(what='CoP rmse (mm)', aim='≤ 2', measured='1.23', met=True)
-    """
-    return Claim(what, f"≤ {limit:g}".replace("e-0", "e-"), measured or number(value), value <= limit)
-
-
-def at_least(what: str, value: float, limit: float) -> Claim:
-    """Return the claim that a value is no smaller than a limit."""
-    return Claim(what, f"≥ {limit:g}", number(value), value >= limit)
-
-
-def claim_table(claims: Iterable[Claim], title: str = "What was set out to reach", note: str = "") -> Table:
-    """Return the table of claims, named ``targets``."""
-    rows = tuple((claim.what, claim.aim, claim.measured, Verdict.of(claim.met)) for claim in claims)
-    return Table("targets", title, ("what", "target", "measured", "reached"), rows, note)

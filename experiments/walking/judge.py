@@ -50,10 +50,10 @@ from surefoot.experiments.walking.hypotheses import (
 from surefoot.experiments.walking.lateness import PUNCTUAL, Lateness, measure_lateness, report_lateness, shift
 
 EXPERIENCE = Experience(unknown=0.3, mimicked=0.05, size=0.72, spread=0.25)
-"""Measured with ``benchmarks/spoilt_logs.py``: 53 sound logs of six robots leave residuals of 0.57 to 1.18.
-With the kind of the mistake taken off the list, 5 of 88 spoilt logs were mimicked down to the median of sound
-logs, by a mistake that has the same effect. The share of spoilt logs with a mistake that is not on the list
-is a guess: none of the old collection, and five in six of a stranger's.
+"""Measured with ``tests/spoilt/_spoilt_logs.py``: 53 sound logs of six robots leave residuals of 0.57 to
+1.18. With the kind of the mistake taken off the list, 5 of 88 spoilt logs were mimicked down to the median of
+sound logs, by a mistake that has the same effect. The share of spoilt logs with a mistake that is not on the
+list is a guess: none of the old collection, and five in six of a stranger's.
 """
 
 WEIGHT = 0.25

@@ -28,7 +28,7 @@ from surefoot.experiments.study.runner import attempt, runner
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.study.statistics import survival
 from surefoot.experiments.study.store import JOURNAL, Case, Store, StudyError
-from surefoot.experiments.study.tables import Table, Verdict, at_least, at_most, claim_table
+from surefoot.experiments.study.tables import Table, Verdict
 
 Rows = dict[str, list[dict[str, Any]]]
 
@@ -62,7 +62,8 @@ def test_a_whole_study(tmp_path: Path) -> None:
         rows, failures = store.rows("walks", listed), store.failures(listed)
     assert list(rows["seed"]) == [0, 1, 2] * 2
     assert seconds["walk"] > 0.0
-    table = claim_table([at_least("time (s)", rows["time"].min(), 5.0), at_most("share", 1.0, 0.5)])
+    cells = (("time", Verdict.of(rows["time"].min() > 5.0)), ("share", Verdict.of(False)))
+    table = Table("targets", "Targets", ("what", "reached"), cells)
     curve = survival(rows["time"], rows["fell"])
     with figure_at(tmp_path / "time.svg", 6.0, 3.0) as figure:
         axes = grid_of(figure, 1, 1)[0, 0]

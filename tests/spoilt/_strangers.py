@@ -1,7 +1,7 @@
 """Sound walk logs of a measuring chain that surefoot did not model: how often does the command do well?
 
-    python benchmarks/stranger_logs.py --out FOLDER                  # 30 logs, about 20 minutes
-    python benchmarks/stranger_logs.py --out FOLDER --logs 4 --seed 7
+    python tests/spoilt/_strangers.py --out FOLDER                  # 30 logs, about 20 minutes
+    python tests/spoilt/_strangers.py --out FOLDER --logs 4 --seed 7
 
 Robots move in MuJoCo, and ground forces are read from its contacts. Load cells on HX711 chips with clocks of
 their own, encoders, an IMU, links that lose rows and a logger that starts at any moment are modelled in this
@@ -437,13 +437,10 @@ def main() -> int:
         results.append({"log": folder.name} | result)
     (given.out / "results.json").write_text(json.dumps(results, indent=1))
     answered = [result for result in results if "learnt" in result]
-    crashes = sum(result["crash"] for result in results)
-    worse = [result for result in answered if any(result["worse"])]
-    print(
-        f"{len(results)} sound logs: {crashes} crashes, {len(results) - len(answered) - crashes} refused, "
-        f"{len(worse)} with a foot worse than the start by 10 %"
-    )
-    return int(len(answered) < len(results) or len(worse) > 0)
+    crashes, worse = sum(one["crash"] for one in results), sum(any(one["worse"]) for one in answered)
+    refused = len(results) - len(answered) - crashes
+    print(f"{len(results)} sound logs: {crashes} crashes, {refused} refused, {worse} with a foot 10 % worse")
+    return int(len(answered) < len(results) or worse > 0)
 
 
 if __name__ == "__main__":

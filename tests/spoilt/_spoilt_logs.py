@@ -1,18 +1,20 @@
 """Spoilt walks and weighings: is each mistake named, and is no sound log refused?
 
-    python benchmarks/spoilt_logs.py                  # both, about ten minutes
-    python benchmarks/spoilt_logs.py weighings        # seconds
-    python benchmarks/spoilt_logs.py unknown          # walks whose mistake is not on the list
+    python tests/spoilt/_spoilt_logs.py                  # both, about ten minutes
+    python tests/spoilt/_spoilt_logs.py weighings        # seconds
+    python tests/spoilt/_spoilt_logs.py unknown          # walks whose mistake is not on the list
     python docs/study_tables.py out/results
 
 A walk is judged as `surefoot calibrate walk` and `surefoot check` judge it, a table of weighings as `surefoot
 calibrate weights` does. Robots are the NAO at two speeds, OP3 and G1 in their own calibration motions and,
-where ``SUREFOOT_STRANGERS`` names one (see ``momentum.py``), a G1 that walks by a published policy.
+where ``SUREFOOT_STRANGERS`` names one (see ``benchmarks/momentum.py``), a G1 that walks by a published
+policy.
 """
 
 import argparse
 import dataclasses
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -227,7 +229,8 @@ def exercise(robot: str, sensors: str | None, seed: int) -> Log:
 
 def policy_walk(forward: float, seed: int) -> Log:
     """Log the G1 that walks by a published policy, at a speed in m/s."""
-    from momentum import Scene, make  # beside this script; needs SUREFOOT_STRANGERS
+    sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+    from momentum import Scene, make  # needs SUREFOOT_STRANGERS
 
     base, act = make(Scene("g1", lambda time: (forward, 0.0, 0.0)))
     return log_of(FootSensors(base, feet=("left_ankle_roll_link", "right_ankle_roll_link")), seed, act)
