@@ -20,7 +20,7 @@ EXPERIENCE = Experience(
 )
 """Residuals of sound sets are 0.1 to 0.9 % of the spread, mostly hysteresis.
 
-Measured by benchmarks/in_situ_spoilt.py. Loops of two laws of hysteresis differ by a few numbers per axis,
+Measured by tests/spoilt/_spoilt_in_situ.py. Loops of two laws of hysteresis differ by a few numbers per axis,
 and so do loops of one law at different swings: they count as 100 readings.
 """
 
