@@ -1,10 +1,9 @@
-"""In-situ calibration of simulated sensors: contact loads, paths and hysteresis, later offsets, and its cost.
+"""In-situ calibration of simulated sensors: contact loads, paths and hysteresis, and later offsets.
 
     python benchmarks/in_situ.py contact        # 20 sensors a cell, six minutes
     python benchmarks/in_situ.py raster         # 20 seeds a cell, half an hour
     python benchmarks/in_situ.py tracker        # 3 seeds a row, two minutes
     python benchmarks/in_situ.py tracker --jump --seeds 2
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/in_situ.py speed --times 10
     python benchmarks/in_situ.py contact --out out/results && python docs/study_tables.py out/results
 
 **contact**: a six-axis sensor (12 bits of noise, or ten times as much) whose maker's matrix is off by a share
@@ -22,24 +21,19 @@ table has the error of the limb's weight, and the squared error per parameter by
 Compared over the second half are the offset of the fit, the mean difference of readings and the fit's weight
 over the last 30 s, and the tracker, with its NEES a channel. With ``--jump`` the sensor was switched off and
 on again in between.
-
-**speed**: eight sets of five minutes at 100 Hz, 240,000 samples, or so many times more. Time is that of the
-CPU; memory is by how much the peak of a process's memory (VmHWM of Linux) rises above that with the sets.
 """
 
 import argparse
-import multiprocessing
-import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
+import bench
 import numpy as np
 import pandas as pd
-from rich.console import Console
 from rig import (
     OFFSET_SHIFT,
     accelerometer_bias,
@@ -51,7 +45,7 @@ from rig import (
 from scipy.spatial.transform import Rotation
 
 from surefoot.arrays import Floats
-from surefoot.calibration.in_situ import InSituFit, InSituOptions, InSituSet, InSituTracker, calibrate_in_situ
+from surefoot.calibration.in_situ import InSituFit, InSituSet, InSituTracker, calibrate_in_situ
 from surefoot.envs.leg_rig.recording import RigRecording, record_rig
 from surefoot.experiments.force_torque.validation import normalise_error
 from surefoot.experiments.study.page import save_tables
@@ -321,76 +315,25 @@ def tracker(seeds: Sequence[int], given: argparse.Namespace) -> list[Table]:
     return [Table("tracker", "Error of the offset in N / N m, rms", heads, tuple(rows))]
 
 
-SPEED_RATE, SPEED_NOISE = 100.0, 0.01  # samples per s, and the accelerometer's noise in m/s^2
-
-
-def many_samples(times: int) -> tuple[InSituSet, ...]:
-    """Return eight sets of a leg; more samples are between the others, and rounded with new noise."""
-    run, rng = record_rig(rate=SPEED_RATE, seed=0), np.random.default_rng([0, 1])
-    counts, _ = read_sensor(sensor_config("leg"), "leg", run, 0)
-    sets = []
-    for one in static_sets("leg", run, counts, np.stack([each.specific_force for each in run])):
-        assert one.time is not None
-        clock = np.linspace(one.time[0], one.time[-1], times * len(one.time))
-        columns = np.concatenate([one.raw, one.gravity], axis=1).T
-        denser = np.stack([np.interp(clock, one.time, column) for column in columns], axis=1)
-        noise = rng.normal(size=denser.shape)
-        raw = np.rint(denser[:, :-3] + (times > 1) * noise[:, :-3])
-        sets.append(replace(one, raw=raw, gravity=denser[:, -3:] + SPEED_NOISE * noise[:, -3:], time=clock))
-    return tuple(sets)
-
-
-def cost(sets: tuple[InSituSet, ...], hysteresis: bool) -> tuple[float, float]:
-    """Return a fit's time in s and its memory in MB."""
-
-    def peak() -> float:
-        lines = Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines()
-        return next((float(line.split()[1]) / 1e3 for line in lines if line.startswith("VmHWM")), np.nan)
-
-    before, start = peak(), time.process_time()
-    calibrate_in_situ(sets, options=InSituOptions(hysteresis=hysteresis), accept="what is timed is the fit")
-    return time.process_time() - start, peak() - before
-
-
-def speed(_: Sequence[int], given: argparse.Namespace) -> list[Table]:
-    """Time the fit, each time in a process of its own: a peak never falls again."""
-    sets, rows = many_samples(given.times), []
-    for name, hysteresis in (("with hysteresis", True), ("without", False)):
-        with multiprocessing.get_context("spawn").Pool(1) as pool:
-            seconds, megabytes = pool.apply(cost, (sets, hysteresis))
-        rows.append((name, f"{seconds:.2f}", f"{megabytes:.0f}"))
-    title = f"{sum(len(one.raw) for one in sets):,} samples"
-    return [Table("speed", title, ("fit", "CPU s", "memory MB"), tuple(rows))]
-
-
-Study = Callable[[Sequence[int], argparse.Namespace], list[Table]]
-STUDIES: dict[str, tuple[Study, int, int]] = {
-    "contact": (contact, 0, 20),
-    "raster": (raster, 70, 20),
-    "tracker": (tracker, 60, 3),
-    "speed": (speed, 0, 1),
-}
-"""What is done, the first seed, and their number."""
+STUDIES = {"contact": (contact, 0, 20), "raster": (raster, 70, 20), "tracker": (tracker, 60, 3)}
+"""Each study, its first seed, and the number of seeds."""
 
 
 def main() -> None:
     """Print tables, and save them where a folder is given."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    layout = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
     parser.add_argument("study", choices=list(STUDIES))
     parser.add_argument("--seeds", type=int, help="sensors a case")
     parser.add_argument("--first", type=int, help="the first of the seeds")
     parser.add_argument("--only", default="", help="raster: kinds of hysteresis whose name contains this")
     parser.add_argument("--jump", action="store_true", help="tracker: the sensor was switched off in between")
-    parser.add_argument("--times", type=int, default=1, help="speed: multiple of the rate of 100 Hz")
     parser.add_argument("--out", type=Path, help="folder of results")
     given = parser.parse_args()
     study, first, count = STUDIES[given.study]
     first = first if given.first is None else given.first
     tables = study(range(first, first + (given.seeds or count)), given)
-    for table in tables:
-        Console(width=160).print(table.to_rich())
+    bench.show(tables)
     if given.out:
         save_tables(given.out / f"in-situ-{given.study}" / "tables", tables)
 

@@ -24,7 +24,6 @@ import argparse
 import os
 import pickle
 import re
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -35,6 +34,7 @@ from unittest.mock import patch
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import bench
 import gymnasium as gym
 import numpy as np
 from scipy.stats import chi2
@@ -46,9 +46,7 @@ from surefoot.calibration.moment import modes
 from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.native.config import moment_constants
 from surefoot.experiments.study.page import save_tables
-from surefoot.experiments.study.runner import runner
 from surefoot.experiments.study.sources import source_hash
-from surefoot.experiments.study.store import Case, Store
 from surefoot.experiments.study.tables import Cell, Frame, Table, decimal, table_of
 from surefoot.experiments.walks.record import lift
 from surefoot.experiments.walks.walkers import G1_FEET, make_g1
@@ -412,6 +410,7 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--first", type=int, default=HELD_OUT, help="first seed")
+    parser.add_argument("--jobs", type=int, default=1, help="processes that work at the same time")
     parser.add_argument("--results", type=Path, help="folder for the table of the pages")
     given = parser.parse_args()
     parts = ("moment", *(f"moment without {part}" for part in PARTS))
@@ -420,22 +419,11 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     strange = "SUREFOOT_STRANGERS" in os.environ
     names = [name for name in given.scenes if strange or not name.startswith("g1")]
-    cases = [
-        Case(
-            f"{name}, seed {seed}",
-            _score,
-            (given.out, name, seed, given.methods),
-            (name, seed, given.methods),
-        )
-        for name in names
-        for seed in range(given.first, given.first + given.seeds)
+    seeds = range(given.first, given.first + given.seeds)
+    cases = [(given.out, name, seed, tuple(given.methods)) for name in names for seed in seeds]
+    scores = bench.run(given.out, "play", _score, cases, jobs=given.jobs, depends=lambda _, *case: case)[
+        "scores"
     ]
-    store = Store(given.out / "scores")
-    with store.open_for(), runner(1) as run:
-        run.run("play", cases, store)
-    for name, error in store.failures(cases).items():
-        print(f"{name}: {error}", file=sys.stderr)
-    scores = store.rows("scores", cases)
     print("|", " | ".join(["scene", "method", *COLUMNS, "worse than raw"]), "|")
     print("|---" * (len(COLUMNS) + 3) + "|")
     for (name, method), runs in scores.groupby(["scene", "method"], sort=False):
@@ -449,4 +437,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    bench.start(__file__)
