@@ -128,9 +128,8 @@ release-check: wheels
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "surefoot needs Python 3.11 or newer; name one with: make PYTHON=python3.12 ..." >&2; exit 1; }
 	$(PYTHON) -m venv $*
-	$*/bin/pip install --quiet --upgrade pip
 
-# pip installs, by the user's configuration. INSTALLER=uv takes a seventh of its time, but leaves torch to pip, whose
+# pip installs, by the user's configuration, and compiles no bytecode: Python does so for what is used. INSTALLER=uv takes a seventh of its time, but leaves torch to pip, whose
 # configuration says which build of it.
 UV := build/uv/bin/uv
 $(UV): | build/uv/bin/python
@@ -141,7 +140,7 @@ install = $(UV) pip install --quiet --python $(1)/bin/python
 before_install = $(torch_by_pip)
 NEEDS_UV := $(UV)
 else
-install = $(1)/bin/pip install --quiet
+install = $(1)/bin/pip install --quiet --no-compile
 endif
 
 # An install with [dev] serves the demo as well.

@@ -4,6 +4,7 @@ import os
 import re
 import runpy
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -56,16 +57,21 @@ class BuildWithLibraries(build_py):
     def run(self) -> None:
         """Build the package, and the libraries if that can be."""
         super().run()
-        for sources in LIBRARIES:
-            if self.editable_mode and is_current(sources):
-                continue  # compiled for another environment of this checkout
-            target = sources.library if self.editable_mode else Path(self.build_lib, place(sources))
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.unlink(missing_ok=True)
-            problem = sources.compile(target, platform=PLATFORM)
-            if problem and PLATFORM:
-                raise SystemExit(f"No wheel for {PLATFORM}: {problem}.")
-            print(f"{sources.name} runs in Python alone: {problem}." if problem else f"compiled {target}")
+        with ThreadPoolExecutor() as pool:  # compilers are processes of their own, one per library
+            for said in pool.map(self.compile, LIBRARIES):
+                print(said)
+
+    def compile(self, sources: Any) -> str:
+        """Compile a library, unless another environment of this checkout has done it; return what was done."""
+        if self.editable_mode and is_current(sources):
+            return f"{sources.name} is current"
+        target = sources.library if self.editable_mode else Path(self.build_lib, place(sources))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.unlink(missing_ok=True)
+        problem = sources.compile(target, platform=PLATFORM)
+        if problem and PLATFORM:
+            raise SystemExit(f"No wheel for {PLATFORM}: {problem}.")
+        return f"{sources.name} runs in Python alone: {problem}." if problem else f"compiled {target}"
 
 
 class WheelOfOnePlatform(bdist_wheel):

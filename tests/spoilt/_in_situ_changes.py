@@ -232,6 +232,15 @@ def cut(raw: Floats, one: InSituSet, log: Log, j: int) -> Floats:
     return raw - (load @ log.truth.response.T) * (after & (j == FITTED - 1))[:, None]
 
 
+def touch_floor(raw: Floats, one: InSituSet, log: Log, _: int) -> Floats:
+    """Let the end of the limb, half a metre away, stand on a springy floor in its lowest fifth."""
+    foot = 0.5 * log.truth.limb.com / np.linalg.norm(log.truth.limb.com)
+    up = -one.gravity / np.linalg.norm(one.gravity, axis=1, keepdims=True)
+    height = up @ foot
+    force = 2000.0 * np.maximum(np.quantile(height, 0.2) - height, 0.0)[:, None] * up
+    return raw + np.hstack([force, np.cross(foot, force)]) @ log.truth.response.T
+
+
 def relabel(log: Log) -> Log:
     """Let the first 6 s of each set be the last of the one before."""
     rows, sets = round(6.0 * RATE), list(log.sets)

@@ -53,6 +53,7 @@ from _in_situ_changes import (
     spikes,
     spin,
     swap,
+    touch_floor,
     turn,
     vectors,
     weigh,
@@ -152,7 +153,7 @@ SPOILTS: dict[str, Spoilt] = {
     "limb not rigid": Spoilt(
         r"bend|not rigid|gives", {f"{slack}": {"knee_slack": slack} for slack in (0.005, 0.02, 0.06)}
     ),
-    "foot on the floor": Spoilt(TOUCH, {"": {"floor": True}}),
+    "foot on the floor": Spoilt(TOUCH, {"": readings(touch_floor)}),
     "channels exchanged": Spoilt(
         r"channels? .* (are )?exchanged", {"": factory(lambda F: F[:, [3, 1, 2, 0, 4, 5]])}, (True,)
     ),
