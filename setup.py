@@ -58,11 +58,11 @@ class BuildWithLibraries(build_py):
         """Build the package, and the libraries if that can be."""
         super().run()
         with ThreadPoolExecutor() as pool:  # compilers are processes of their own, one per library
-            for said in pool.map(self.compile, LIBRARIES):
+            for said in pool.map(self.compile_library, LIBRARIES):
                 print(said)
 
-    def compile(self, sources: Any) -> str:
-        """Compile a library, unless another environment of this checkout has done it; return what was done."""
+    def compile_library(self, sources: Any) -> str:
+        """Compile a library unless another environment of this checkout has done it; say what was done."""
         if self.editable_mode and is_current(sources):
             return f"{sources.name} is current"
         target = sources.library if self.editable_mode else Path(self.build_lib, place(sources))
