@@ -3,7 +3,7 @@
 #include "surefoot_moment.h"
 #include "surefoot_strapdown.h"
 #include "surefoot_view.h"
-#include "surefoot_window.h"
+#include "surefoot_tare.h"
 
 #include "library.h"
 
@@ -16,7 +16,7 @@ typedef struct {
 } sf_told;
 
 /* How one robot is calibrated: its constants, those of a method, and which one that is. */
-enum { MOMENT, WINDOW, TARE, UNCORRECTED };
+enum { MOMENT, TARE, UNCORRECTED };
 typedef struct {
     const sf_config *config;
     const void *own;
@@ -47,8 +47,8 @@ enum { WAITING, SAMPLES, UPRIGHT, STANDING, RUN, LONGEST };
 
 /* clang-format off */
 static const place places[] = {
-    WHOLE_OF(config), WHOLE_OF(reference), WHOLE_OF(estimate), WHOLE_OF(filter), WHOLE_OF(window_config),
-    WHOLE_OF(window_state), WHOLE_OF(window_work), WHOLE_OF(tare_config), WHOLE_OF(tare_state), WHOLE_OF(front),
+    WHOLE_OF(config), WHOLE_OF(reference), WHOLE_OF(estimate), WHOLE_OF(filter),
+    WHOLE_OF(tare_config), WHOLE_OF(tare_state), WHOLE_OF(front),
     WHOLE_OF(moment_config), WHOLE_OF(moment_state), WHOLE_OF(moment_work), WHOLE_OF(model), WHOLE_OF(timing),
     WHOLE_OF(beliefs), WHOLE_OF(belief), WHOLE_OF(momentum_beliefs), WHOLE_OF(momentum_belief), WHOLE_OF(view),
     WHOLE_OF(shown), WHOLE_OF(told), WHOLE_OF(sample_records),
@@ -65,20 +65,6 @@ static const place places[] = {
     FIELDS(estimate, "byte", cop_valid, cop_foot_valid),
     FIELDS(filter, "word", config, own),
     FIELDS(filter, "whole", method),
-    FIELDS(window_config, "int", every, length, settle, transition, iterations, quasi_static, filtered,
-        standing_start, standing_samples),
-    FIELDS(window_config, "real", force, cop, gross_force, gross_length, outlier, least, spread, step_bound,
-        rate_bound, lowest, highest, transfer, steady, deviation, noise, shared),
-    FIELDS(window_config, "real", largest, acceleration_threshold, rate_threshold),
-    FIELDS(window_config, "double", warm_up, duration, patience),
-    PARTS(window_state, front_, front., "real", raw, history, motion, silent, constant, late),
-    PARTS(window_state, front_, front., "whole", known, clean),
-    FIELDS(window_state, "whole", step, started, contact, since_change, status, walking, all_walking),
-    FIELDS(window_state, "real", pending, filter, latest, samples, theta),
-    PARTS(window_state, standing_, standing., "double", time),
-    PARTS(window_state, standing_, standing., "whole", samples, dropped, gated),
-    PARTS(window_state, standing_, standing., "real", information, gradient, energy),
-    FIELDS(window_work, "real", A, J, gradient, theta, use, square, ordered),
     FIELDS(tare_config, "int", settle, minimum_samples),
     FIELDS(tare_config, "real", spread, limit),
     PARTS(tare_state, front_, front., "real", raw, history, motion, silent, constant, late),
@@ -167,9 +153,8 @@ static const place places[] = {
 LIBRARY_OF(places)
 
 EXPORTED int surefoot_fits(const sf_filter *f) {
-    return f->method == MOMENT   ? sf_moment_fits(f->config, (const sf_moment_config *)f->own)
-           : f->method == WINDOW ? sf_window_fits(f->config, (const sf_window_config *)f->own)
-                                 : sf_robot_fits(f->config);
+    return f->method == MOMENT ? sf_moment_fits(f->config, (const sf_moment_config *)f->own)
+                               : sf_robot_fits(f->config);
 }
 #ifndef SF_NO_LIBC /* kernels call the headers themselves */
 /* Of which nothing is remembered; too large for the stacks of some threads. */
@@ -177,14 +162,7 @@ static __thread sf_moment_work moment_work;
 
 EXPORTED void surefoot_init(const sf_filter *f, void *state) {
     if (f->method == MOMENT) sf_moment_init(f->config, f->own, state, &moment_work);
-    if (f->method == WINDOW) sf_window_init(f->config, f->own, state);
     if (f->method == TARE) sf_tare_init(f->config, state);
-    if (f->method == UNCORRECTED) sf_front_init(f->config, state);
-}
-/* Of methods that are compared with. */
-EXPORTED void surefoot_begin(const sf_filter *f, void *state) {
-    if (f->method == WINDOW) sf_window_begin(f->config, state);
-    if (f->method == TARE) sf_tare_begin(f->config, state);
     if (f->method == UNCORRECTED) sf_front_init(f->config, state);
 }
 EXPORTED void surefoot_retract(const sf_filter *f, void *state) {
@@ -193,14 +171,9 @@ EXPORTED void surefoot_retract(const sf_filter *f, void *state) {
 EXPORTED void surefoot_step(const sf_filter *f, void *state, const sf_real *raw, const sf_belief *belief,
                             double dt, sf_estimate *out) {
     const sf_reference *reference = &belief->reference;
-    const sf_real *imu[] = {belief->accelerometer, belief->gyroscope};
-    sf_window_work work;
     switch (f->method) {
     case MOMENT:
         sf_moment_step(f->config, f->own, state, &moment_work, raw, reference, (sf_real)dt, out);
-        break;
-    case WINDOW:
-        sf_window_step(f->config, f->own, state, &work, raw, reference, imu, (sf_real)dt, out);
         break;
     case TARE: sf_tare_step(f->config, f->own, state, raw, reference, (sf_real)dt, out); break;
     default: sf_uncorrected_step(f->config, state, raw, reference, (sf_real)dt, out);

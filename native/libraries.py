@@ -13,7 +13,6 @@ CALIBRATION = Native(
     {
         "surefoot_fits": (ctypes.c_int, (ADDRESS,)),
         "surefoot_init": (None, (ADDRESS, ADDRESS)),
-        "surefoot_begin": (None, (ADDRESS, ADDRESS)),
         "surefoot_retract": (None, (ADDRESS, ADDRESS)),
         "surefoot_step": (None, (ADDRESS, ADDRESS, ADDRESS, ADDRESS, ctypes.c_double, ADDRESS)),
         "surefoot_beliefs_fit": (ctypes.c_int, (ADDRESS, ADDRESS)),

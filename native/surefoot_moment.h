@@ -2064,7 +2064,7 @@ SF_API int sf_moment_step(const sf_config *c, const sf_moment_config *m, sf_mome
     sf_whole kinds[SF_CHANNELS];
     sf_real waited = 0;
     sf_sample sample;
-    sf_check(c, &s->front, raw, reference, 0, dt, &sample);
+    sf_check(c, &s->front, raw, reference, dt, &sample);
     sf_fault_sample(c, &s->faults, s->published.mean, reference->stance, sample.force, sample.read, kinds);
     for (int i = 0; i < K; i++) {
         sample.force[i] -= s->shift[i];

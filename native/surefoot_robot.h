@@ -337,11 +337,9 @@ SF_API const sf_real *sf_rotation(const sf_config *c, const sf_real *motion, int
     return motion + SF_SOLES + 3 * c->feet + 9 * foot;
 }
 
-/* Motions.flatten. imu: accelerometer and gyroscope, of 3 numbers each; zeros without. */
-SF_API void sf_flatten(const sf_config *c, const sf_reference *reference, const sf_real *const *imu,
-                       sf_real *motion) {
+/* Motions.flatten, without the IMU, whose entries are zero. */
+SF_API void sf_flatten(const sf_config *c, const sf_reference *reference, sf_real *motion) {
     memset(motion, 0, SF_SOLES * sizeof(sf_real));
-    for (int i = 0; imu && i < 2; i++) sf_copy(motion + SF_ACCELEROMETER + 3 * i, imu[i], 3);
     sf_copy(motion + SF_COM, reference->com, 3);
     sf_copy(motion + SF_ACCELERATION, reference->com_acceleration, 3);
     sf_copy(motion + SF_RATE, reference->angular_momentum_rate, 3);
@@ -397,10 +395,10 @@ SF_API void sf_front_init(const sf_config *c, sf_front *s) {
 
 /* FrontEnd.observe until forces may be repaired: check one sample. */
 SF_API void sf_check(const sf_config *c, sf_front *s, const sf_real *raw, const sf_reference *reference,
-                     const sf_real *const *imu, sf_real dt, sf_sample *sample) {
+                     sf_real dt, sf_sample *sample) {
     int R = sf_motion(c);
     sf_real motion[SF_MOTION];
-    sf_flatten(c, reference, imu, motion);
+    sf_flatten(c, reference, motion);
     sample->dt = dt;
     sample->gap = !(dt > 0 && dt <= SF_LONGEST_GAP * c->dt);
     sample->sound = 1;

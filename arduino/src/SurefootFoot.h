@@ -11,7 +11,7 @@
 //     foot.force(0); foot.load(); foot.x(); foot.y(); foot.hasCop(); foot.faults(0);
 //
 // Zeros drift. They are followed while the foot hangs: as the robot says by hangs(true), or by itself while no cell bears
-// more than followBelow(N). It is the swing tare of surefoot_window.h, with its checks: it rejects readings that spread or
+// more than followBelow(N). It is the swing tare of surefoot_tare.h, with its checks: it rejects readings that spread or
 // are far from the last zeros. A foot that seems to pull at the ground was tared under load: it has the fault REJECTED, and
 // with followBelow() it is tared again as soon as it hangs still.
 
@@ -28,11 +28,9 @@
 #define SF_CHANNELS SUREFOOT_CELLS
 #define SF_FEET 1
 #define SF_LAG 0
-#define SF_EVERY 1
-#define SF_WINDOW 1
 #include <limits.h>
 
-#include "surefoot_window.h"
+#include "surefoot_tare.h"
 
 class SurefootFoot {
 public:

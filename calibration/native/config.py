@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from surefoot.calibration import comparison
 from surefoot.calibration.baselines import SwingTare, tare
-from surefoot.calibration.front_end.filters import coefficients
 from surefoot.calibration.front_end.readings import FrontEnd
 from surefoot.calibration.moment import (
     columns,
@@ -26,17 +25,14 @@ from surefoot.calibration.moment.config import Moment
 from surefoot.calibration.moment.faults import ChannelFaults
 from surefoot.calibration.moment.filter import MomentFilter
 from surefoot.calibration.setup import OnlineSetup
-from surefoot.calibration.standing import PLAUSIBLE_WEIGHTS
-from surefoot.calibration.window.config import Window
-from surefoot.calibration.window.stream import SlidingWindow
 from surefoot.names import page
 from surefoot.native import CALIBRATION, Library, PointerRecord, c_header, require
 
-_METHODS = {"moment": 0, "window": 1, "quasi-static": 1, "tare": 2, "none": 3}
+_METHODS = {"moment": 0, "tare": 1, "none": 2}
 """Numbers of methods in ``native/calibration.c``."""
 
-_STATES = "moment_state", "window_state", "tare_state", "front"
-_OWN = "moment_config", "window_config", "tare_config", None
+_STATES = "moment_state", "tare_state", "front"
+_OWN = "moment_config", "tare_config", None
 """The records of their states, and of their own constants besides ``config``."""
 
 
@@ -82,9 +78,6 @@ def constants_of(
         moment = MomentFilter(setup, Moment(**options))
         front, like, faults = moment.front_end, moment.init(raw), moment.faults
         own, covariance = moment_constants(moment), "covariance"
-    elif number == 1:
-        window = SlidingWindow(setup, Window(**options), quasi_static=method == "quasi-static")
-        front, like, own = window.front_end, window.init(raw), _window(window)
     else:
         front = FrontEnd(setup, imu=False, extrapolates=method == "tare")
         like = front.init(raw)
@@ -111,8 +104,7 @@ def constants_of(
 def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
     """Return a header with the sizes and constants of one robot, for its controller.
 
-    It declares ``sf_config robot``, and besides ``sf_moment_config moment``,
-    ``sf_window_config window`` or ``sf_tare_config tare``.
+    It declares ``sf_config robot``, and ``sf_moment_config moment`` or ``sf_tare_config tare``.
 
     Args:
         setup: The robot.
@@ -139,9 +131,7 @@ def c_source(setup: OnlineSetup, method: str = "moment", **options: Any) -> str:
                 "TALKS": int(own["talks"]),
             }
             return c_header("surefoot_moment.h", sizes, records)
-        if found.number == 1:
-            sizes |= {"EVERY": int(own["every"]), "WINDOW": int(own["length"])}
-    return c_header("surefoot_window.h", sizes, records)
+    return c_header("surefoot_tare.h", sizes, records)
 
 
 def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
@@ -174,32 +164,3 @@ def _robot(front: FrontEnd, faults: ChannelFaults | None) -> tuple[Any, ...]:
     without |= dict.fromkeys(("leap_alone", "prior", "by_others", "cells", "together"), np.zeros(0))
     of_faults = [part for part in (faults, faults and faults.stand_in) if part]
     return own, front, setup, setup.layout, setup.initial, front.motions, *of_faults, without
-
-
-def _window(window: SlidingWindow) -> tuple[Any, ...]:
-    """List the sources of a sliding window's constants, by their names in ``sf_window_config``."""
-    config, setup, standing = window.config, window.setup, window.standing
-    transfer, steady = np.zeros((3, 3)), np.zeros((2, 1))
-    if config.cutoff is not None:
-        transfer, steady = coefficients(config.cutoff, setup.dt)
-    weight, ends = setup.weight, [0, setup.layout.channels]
-    own = {
-        **{
-            name: getattr(window, name)[ends]
-            for name in ("spread", "step_bound", "rate_bound", "lowest", "highest")
-        },
-        "filtered": config.cutoff is not None,
-        "standing_samples": standing.minimum_samples,
-        "gross_force": config.gross_error * weight,
-        "gross_length": config.gross_error * setup.length,
-        "outlier": config.outlier_threshold**2,
-        "least": config.minimum_share * window.length,
-        "transfer": transfer,
-        "steady": steady[:, 0],
-        "patience": config.standing_patience,
-        "deviation": [standing.scale_std, standing.offset_std],
-        "noise": [standing.force_noise, *[weight * standing.cop_noise] * 2],
-        "shared": [weight * standing.mass_error, *[weight * standing.com_error] * 2],
-        "largest": PLAUSIBLE_WEIGHTS * weight,
-    }
-    return own, window, window.weights, standing, config

@@ -1,13 +1,13 @@
-/* Feed garbage to a method: `fuzz_native CONFIG SAMPLES METHOD` reads the constants of one robot, and of the
-   method, as bytes. Fails, by a message and status 1, if the state or an estimate is ever not finite;
-   sanitizers watch the rest. */
+/* Feed random garbage to the tare: `fuzz_native CONFIG SAMPLES` reads the constants of one robot, and of the tare,
+   as bytes. It fails with a message and status 1 if the state or an estimate is ever not finite. Sanitizers check
+   memory accesses. */
 
 #include <stdio.h>
 #include <stdlib.h>
 
 #include <string.h>
 
-#include "surefoot_window.h"
+#include "surefoot_tare.h"
 
 static unsigned long long bits = 88172645463325252ULL;
 
@@ -32,21 +32,13 @@ static void spoil(sf_real *values, int n, double share) {
 
 int main(int count, char **words) {
     static sf_config config;
-    static sf_window_config window;
     static sf_tare_config tare;
-    static sf_window_state windowed;
-    static sf_window_work work;
     static sf_tare_state tared;
     static sf_estimate estimate;
-    FILE *file = count == 4 ? fopen(words[1], "rb") : NULL;
+    FILE *file = count == 3 ? fopen(words[1], "rb") : NULL;
     if (!file || fread(&config, sizeof config, 1, file) != 1) return 2;
-    int is_window = !strcmp(words[3], "window"), is_tare = !strcmp(words[3], "tare");
-    if (is_window && (fread(&window, sizeof window, 1, file) != 1 || !sf_window_fits(&config, &window)))
-        return 2;
-    if (is_tare && (fread(&tare, sizeof tare, 1, file) != 1 || !sf_robot_fits(&config))) return 2;
-    if (!is_window && !is_tare) return 2;
+    if (fread(&tare, sizeof tare, 1, file) != 1 || !sf_robot_fits(&config)) return 2;
     fclose(file);
-    sf_window_init(&config, &window, &windowed);
     sf_tare_init(&config, &tared);
     long samples = atol(words[2]);
     int K = config.channels, broken = -1, kind = 0;
@@ -83,17 +75,11 @@ int main(int count, char **words) {
             spoil(reference.position_sole, 3 * config.feet, 0.0005);
             if (chance(0.02)) reference.swing[0] = reference.swing[config.feet - 1] = 1;
         }
-        sf_real inertial[6] = {0, 0, (sf_real)9.81, 0, 0, 0}, dt = chance(0.001) ? poison() : config.dt;
-        const sf_real *imu[] = {inertial, inertial + 3};
-        spoil(inertial, 6, 0.001);
-        if (is_window) sf_window_step(&config, &window, &windowed, &work, raw, &reference, imu, dt, &estimate);
-        else sf_tare_step(&config, &tare, &tared, raw, &reference, dt, &estimate);
-        if (chance(0.0005)) sf_window_begin(&config, &windowed), sf_tare_begin(&config, &tared);
-        if (k % 20000 == 0) sf_window_init(&config, &window, &windowed);
-        if (!sf_all_finite(windowed.theta, 2 * K) ||
-            !sf_all_finite(windowed.samples, SF_WINDOW * (6 * K + 3)) ||
-            !sf_all_finite(windowed.standing.information, (2 * K + 3) * (2 * K + 3)) ||
-            !sf_all_finite(tared.offset, K) || !sf_all_finite(tared.scatter, K) ||
+        sf_real dt = chance(0.001) ? poison() : config.dt;
+        sf_tare_step(&config, &tare, &tared, raw, &reference, dt, &estimate);
+        if (chance(0.0005)) sf_tare_begin(&config, &tared);
+        if (k % 20000 == 0) sf_tare_init(&config, &tared);
+        if (!sf_all_finite(tared.offset, K) || !sf_all_finite(tared.scatter, K) ||
             !sf_all_finite(estimate.force, K) || !sf_all_finite(estimate.wrench, 6 * config.feet) ||
             sf_finite(estimate.cop[0]) != estimate.cop_valid) {
             printf("not finite at sample %ld\n", k);

@@ -20,7 +20,7 @@ def test_a_robot_that_the_library_is_not_made_for_is_left_to_python(library):
     initial = Parameters(np.ones(12), np.zeros(12))
     setup = OnlineSetup(layout=ANKLES, mass=MASS, initial=initial, foot_length=0.17)
     assert native_filter(library, "moment", setup, {"block": 1.0}) is None
-    assert native_filter(library, "window", setup, {"window": 2.0}) is None
+    assert native_filter(library, "window", setup, {}) is None
     assert native_filter(library, "module:mine", setup, {}) is None
     late = OnlineSetup(layout=ANKLES, mass=MASS, initial=initial, foot_length=0.17, lag=9)
     assert native_filter(library, "moment", late, {}) is None

@@ -231,19 +231,6 @@ def play(stream, native, log, exchange=(), **tolerance):
 
 OTHERS = [
     *[
-        ("window", "cells", lag, event, {})
-        for lag, event in ((2, clean), (0, gaps), (2, missing_and_impossible))
-    ],
-    *[("window", "cells", 2, event, {}) for event in (bad_references, lies, retracted, lifted)],
-    *[("window", "ankles", lag, event, {}) for lag, event in ((2, clean), (0, lies), (1, stands_for_long))],
-    *[("window", "both", 0, event, {}) for event in (clean, bad_references)],
-    *[("window", f"heavy {kind}", 2, clean, {}) for kind in ("cells", "ankles", "both")],
-    ("window", "cells", 2, spikes, {"cutoff": None, "every": 3, "window": 0.3, "iterations": 2}),
-    ("window", "cells", 1, gaps, {"standing_start": False, "outlier_threshold": 1.0, "gross_error": 2.0}),
-    ("window", "ankles", 2, clean, {"standing_patience": 2.0, "standing_samples": 500}),
-    *[("quasi-static", layout, 2, clean, {}) for layout in ("cells", "both")],
-    *[("quasi-static", "cells", 2, event, {}) for event in (gaps, bad_references)],
-    *[
         ("tare", "cells", lag, event, {})
         for lag, event in ((2, clean), (0, gaps), (2, missing_and_impossible))
     ],
@@ -252,8 +239,8 @@ OTHERS = [
     ("tare", "ankles", 1, dropped_for_a_while, {"settle": 0.0, "spread": 0.2, "offset_range": 1.0}),
     *[("none", layout, 2, missing_and_impossible, {}) for layout in ("cells", "both")],
     *[("none", "ankles", 0, event, {}) for event in (gaps, bad_references)],
-    *[(method, "cells", 2, lies, {"age": 0.006}) for method in ("window", "tare", "none")],
-    ("window", "both", 0, gaps, {"age": np.repeat([0.005, 0.0, 0.02, 0.0], [4, 6, 4, 6])}),
+    *[(method, "cells", 2, lies, {"age": 0.006}) for method in ("tare", "none")],
+    ("tare", "both", 0, gaps, {"age": np.repeat([0.005, 0.0, 0.02, 0.0], [4, 6, 4, 6])}),
 ]
 
 
@@ -274,64 +261,36 @@ def test_the_library_is_the_python_of_other_methods(library, method, layout, lag
     event(log)
     if event is clean:
         log.force = log.force[:900]
-    state, _ = play(*robot(library, layout, lag, method, **options), log, exchange=789)
-    if method in ("window", "quasi-static"):
-        assert (np.abs(state.theta - 1.0)[: len(log.force[0])] > 0.01).any(), "nothing was learnt"
+    play(*robot(library, layout, lag, method, **options), log, exchange=789)
 
 
-def play_garbage(library, program, tmp_path, layout, method):
-    samples = 20_000 if method == "window" else 100_000
-    _, native = robot(library, layout, method=method)
-    own = native.constants.own
-    (tmp_path / "config").write_bytes(
-        native.constants.config.tobytes() + (b"" if own is None else own.tobytes())
-    )
-    run_program(program, tmp_path / "config", str(samples), method)
+def play_garbage(library, program, tmp_path, layout):
+    _, native = robot(library, layout, method="tare")
+    constants = native.constants
+    (tmp_path / "config").write_bytes(constants.config.tobytes() + constants.own.tobytes())
+    run_program(program, tmp_path / "config", "100000")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("layout", "method"), [("ankles", "window"), ("both", "tare")])
-def test_garbage_leaves_the_state_finite_and_memory_alone(library, fuzzer, tmp_path, layout, method):
-    play_garbage(library, fuzzer(), tmp_path, layout, method)
+def test_garbage_leaves_the_state_finite_and_memory_alone(library, fuzzer, tmp_path):
+    play_garbage(library, fuzzer(), tmp_path, "both")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["window", "tare"])
 @pytest.mark.parametrize("layout", ["cells", "heavy both"])
-def test_garbage_does_no_harm_in_single_precision(single, fuzzer, tmp_path, layout, method):
-    play_garbage(single, fuzzer("-DSF_SINGLE"), tmp_path, layout, method)
+def test_garbage_does_no_harm_in_single_precision(single, fuzzer, tmp_path, layout):
+    play_garbage(single, fuzzer("-DSF_SINGLE"), tmp_path, layout)
 
 
-@pytest.mark.parametrize(
-    ("layout", "method"),
-    [
-        ("cells", "tare"),
-        ("both", "window"),
-        *(
-            pytest.param(*row, marks=pytest.mark.slow)
-            for row in (("ankles", "tare"), ("both", "tare"), ("cells", "window"), ("ankles", "window"))
-        ),
-    ],
-)
-def test_a_state_is_half_as_large_in_single_precision(library, tmp_path, monkeypatch, layout, method):
+@pytest.mark.parametrize("layout", ["cells", pytest.param("both", marks=pytest.mark.slow)])
+def test_a_state_is_half_as_large_in_single_precision(library, tmp_path, monkeypatch, layout):
     monkeypatch.setattr(CALIBRATION, "installed", lambda: library)
-    (tmp_path / "robot.h").write_text(c_source(setup_of(layout), method))
-    state, begun, fits = {
-        "window": (
-            "sf_window_state",
-            "sf_window_init(&robot, &window, &state)",
-            "sf_window_fits(&robot, &window)",
-        ),
-        "tare": (
-            "sf_tare_state",
-            "sf_tare_init(&robot, &state)",
-            "tare.minimum_samples && sf_robot_fits(&robot)",
-        ),
-    }[method]
+    (tmp_path / "robot.h").write_text(c_source(setup_of(layout), "tare"))
     (tmp_path / "size.c").write_text(
         '#include <stdio.h>\n#include "robot.h"\n'
-        f"int main(void) {{ static {state} state; {begun};\n"
-        f'printf("%lu", (unsigned long)sizeof state); return !({fits}); }}\n'
+        "int main(void) { static sf_tare_state state; sf_tare_init(&robot, &state);\n"
+        'printf("%lu", (unsigned long)sizeof state);\n'
+        "return !(tare.minimum_samples && sf_robot_fits(&robot)); }\n"
     )
     sizes = []
     for flags in ([], ["-DSF_SINGLE"]):

@@ -42,7 +42,7 @@ _ADVANCE, _FROZEN, _FRESH, _RETRACT = 1, 2, 4, 8
 """What a thread is told: that this is a new step; that nothing is learnt; in place of a step to start fresh,
 or to take back, if its robot is marked."""
 
-_HEADERS = "surefoot_moment", "surefoot_beliefs", "surefoot_window"
+_HEADERS = "surefoot_moment", "surefoot_beliefs", "surefoot_tare"
 
 
 def _block_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
@@ -63,12 +63,6 @@ class _Steps(NamedTuple):
     sizes: Callable[[OnlineSetup, dict[str, Any]], dict[str, int]] = lambda setup, options: {}
 
 
-_WINDOW = _Steps(
-    "sf_window_state",
-    "sf_window_work",
-    "sf_window_config",
-    "sf_window_step(c, m, s, work, raw, &belief.reference, imu, dt, out)",
-)
 _STEPS = {
     "moment": _Steps(
         "sf_moment_state",
@@ -78,8 +72,6 @@ _STEPS = {
         "sf_moment_retract(c, m, s)",
         _block_sizes,
     ),
-    "window": _WINDOW,
-    "quasi-static": _WINDOW,
     "tare": _Steps(
         "sf_tare_state",
         "char",
@@ -111,10 +103,9 @@ _BODY = """
     }}
     *waits -= *waits > 0;
     *starts = 0;
-    const sf_real *imu[] = {{belief.accelerometer, belief.gyroscope}};
     const sf_real *raw = (const sf_real *)given.data + (size_t)robot * c->channels;
     sf_estimate *out = (sf_estimate *)found.data + robot;
-    (void)imu, (void)m, (void)work;
+    (void)m, (void)work;
     {step};
 """
 
@@ -136,7 +127,7 @@ class SelfCalibrationModule(BatchModule):
 
     Args:
         layout: How the channels make up the feet's wrenches.
-        method: A key of :data:`~surefoot.calibration.online.METHODS` that comes with this package.
+        method: ``"moment"``, ``"tare"`` or ``"none"``, or options of one of them.
         num_envs: Number N of robots, one by default.
         device: Where everything is.
         dtype: Of readings and estimates, ``float32`` or ``float64``.

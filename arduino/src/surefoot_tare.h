@@ -1,0 +1,1 @@
+../../native/surefoot_tare.h

@@ -1,1 +1,0 @@
-../../native/surefoot_window.h
