@@ -18,7 +18,7 @@ ORDER = ["demo", "view", "check", "calibrate", "train", "evaluate"]
 
 
 class _InOrder(TyperGroup):
-    """Shows commands in this order, groups among them; an interruption ends any of them in one line."""
+    """Lists commands in this order, and reports an interruption of any command in one line."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in order."""
@@ -29,7 +29,7 @@ class _InOrder(TyperGroup):
         try:
             return super().invoke(ctx)
         except (KeyboardInterrupt, ImportError) as error:
-            # Modules in C that are interrupted while they are imported say "initialization failed".
+            # C modules that are interrupted during their import raise "initialization failed".
             causes = error, error.__cause__, error.__context__
             if not any(isinstance(cause, KeyboardInterrupt) for cause in causes):
                 raise
@@ -40,7 +40,7 @@ class _InOrder(TyperGroup):
 app = typer.Typer(
     name="surefoot",
     cls=_InOrder,
-    help="Honest models of the sensors that biped robots stand on, and calibrators that undo their errors.",
+    help="Realistic models of the foot sensors of legged robots, and calibrators that correct their errors.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )

@@ -1,4 +1,4 @@
-"""``surefoot calibrate`` and ``check``: from the logs of a robot."""
+"""``surefoot calibrate`` and ``surefoot check``."""
 
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -11,39 +11,32 @@ from surefoot.names import page
 
 Topics = Annotated[Path | None, Option(help="Mapping file of ROS bags; by default the one beside the log.")]
 Accept = Annotated[
-    str | None, Option(help="Why to go on past what is refused: every file says it.", metavar="REASON")
+    str | None, Option(help="Reason to continue with a refused log; kept in all files.", metavar="REASON")
 ]
-Guess = Annotated[bool, Option("--guess", help="Print a mapping file that suits the bag, and end.")]
+Guess = Annotated[bool, Option("--guess", help="Print a proposed mapping file for the bag, and exit.")]
 
-app = typer.Typer(help="Calibrate from the logs of a robot.", no_args_is_help=True)
+app = typer.Typer(help="Calibrate sensors from the logs of a robot.", no_args_is_help=True)
 
 
 @app.command(epilog=f"The table: {page('log-format')}")
 def walk(
     log: Annotated[Path, Argument(help="A log: .parquet, .csv or a ROS bag.")],
-    method: Annotated[
-        str, Option(help="moment, window, quasi-static, tare, none, or module:name")
-    ] = "moment",
+    method: Annotated[str, Option(help="moment, window, quasi-static, tare, none, module:name")] = "moment",
     start: Annotated[
-        str | None, Option(help="Start from the nominal or the calibrated map, or from a JSON of weights.")
+        str | None, Option(help="Starting map: nominal, calibrated or a JSON of weights.")
     ] = None,
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
-    settle: Annotated[float, Option(help="Seconds at the start that do not count in errors.")] = 0.0,
-    zero_phase: Annotated[bool, Option("--zero-phase", help="Filter with hindsight, as the paper.")] = False,
-    stand: Annotated[
-        float,
-        Option(
-            help="The window's weights from so many s of stand; measured: helps only a bad start's total."
-        ),
-    ] = 0.0,
-    split_gaps: Annotated[bool, Option("--split-gaps", help="Go on after gaps in time.")] = False,
+    settle: Annotated[float, Option(help="Time in s at the start that is left out of errors.")] = 0.0,
+    zero_phase: Annotated[bool, Option("--zero-phase", help="Filter both ways, as in the paper.")] = False,
+    stand: Annotated[float, Option(help="Standing time in s that sets the weights of window.")] = 0.0,
+    split_gaps: Annotated[bool, Option("--split-gaps", help="Continue after gaps in time.")] = False,
     topics: Topics = None,
     guess: Guess = False,
-    ros2: Annotated[bool, Option("--ros2", help="Write the map as parameters of a ROS 2 node, too.")] = False,
+    ros2: Annotated[bool, Option("--ros2", help="Also write the map as parameters of a ROS 2 node.")] = False,
     accept: Accept = None,
     as_json: Json = False,
 ) -> None:
-    """Calibrate a walk: counts and the robot's beliefs in, calibrated forces, CoP and parameters out."""
+    """Calibrate the foot sensors of a walk: writes forces, CoP, parameters and a report."""
     from surefoot.experiments.logs.format import LOST_ROWS, read_log
     from surefoot.experiments.study.progress import working
     from surefoot.experiments.walking.calibrate import calibrate_log
@@ -68,14 +61,12 @@ def walk(
 
 @app.command(epilog=f"The table: {page('weights')}")
 def weights(
-    weighings: Annotated[Path, Argument(help="A CSV: load_kg or load_N, and raw_..._count per cell.")],
-    out: Annotated[
-        Path | None, Option(help="Where to write the map as JSON; its page lies beside it.")
-    ] = None,
+    weighings: Annotated[Path, Argument(help="CSV with load_kg or load_N, and raw_..._count of each cell.")],
+    out: Annotated[Path | None, Option(help="JSON file of the map; the report is beside it.")] = None,
     accept: Accept = None,
     as_json: Json = False,
 ) -> None:
-    """Fit a line to each cell's readings under known weights (CoP paper, Eqs. 1, 2), or a curve."""
+    """Fit a line or a curve to each cell's readings under known weights (CoP paper, Eqs. 1, 2)."""
     from surefoot.experiments.study.progress import working
     from surefoot.experiments.weights.calibrate import fit_weighings
     from surefoot.experiments.weights.page import write_weights_page
@@ -84,7 +75,7 @@ def weights(
     with one_line_errors():
         path = weighings.with_suffix(".map.json") if out is None else out
         if path.suffix == ".html":
-            fail(f"--out is the map, a JSON, and its page is '{path}': end the map's name in .json.")
+            fail(f"--out is the JSON file of the map, and '{path}' its report; end the name in .json.")
         result = fit_weighings(weighings, path, accept or "")
         with working("drawing the report"):
             page_path = write_weights_page(path.with_suffix(".html"), result)
@@ -94,24 +85,26 @@ def weights(
 
 @app.command(epilog=f"The table: {page('in-situ-log')}")
 def ft(
-    logs: Annotated[Paths, Argument(help="A log, or one file a set.")] = None,
+    logs: Annotated[Paths, Argument(help="A log, or one file per set.")] = None,
     config: Annotated[Path | None, Option(help="TOML; by default the one beside the first log.")] = None,
-    sample: Annotated[bool, Option("--sample", help="Calibrate surefoot's own sample.")] = False,
+    sample: Annotated[bool, Option("--sample", help="Calibrate the sample of surefoot.")] = False,
     raw: Annotated[str | None, Option(help="Columns of the channels, separated by commas.")] = None,
-    specific_force: Annotated[str | None, Option(help="Columns of it: x,y,z; up at rest.")] = None,
-    gravity: Annotated[str | None, Option(help="Columns of gravity in its place: x,y,z; down.")] = None,
+    specific_force: Annotated[
+        str | None, Option(help="Columns x,y,z of the accelerometer; up at rest.")
+    ] = None,
+    gravity: Annotated[str | None, Option(help="Columns x,y,z of gravity instead; down.")] = None,
     time: Annotated[str | None, Option(help="Column of time.")] = None,
-    set_: Annotated[str | None, Option("--set", help="Column that names the sets.")] = None,
+    set_: Annotated[str | None, Option("--set", help="Column with the name of the set.")] = None,
     out: Annotated[Path | None, Option(help="Folder for the result; by default beside the log.")] = None,
     keep_matrix: Annotated[
-        bool, Option("--keep-matrix", help="Leave the maker's matrix; find bias, mass and its place.")
+        bool, Option("--keep-matrix", help="Keep the maker's matrix; fit the rest.")
     ] = False,
     accept: Accept = None,
     topics: Topics = None,
     guess: Guess = False,
     as_json: Json = False,
 ) -> None:
-    """Calibrate a six-axis F/T sensor where it is built in: counts, gravity and known masses in."""
+    """Calibrate a built-in six-axis F/T sensor from readings, gravity and known masses."""
     from surefoot.experiments.force_torque.calibrate import SAMPLE, calibrate_in_situ_log
     from surefoot.experiments.force_torque.config import config_beside, read_config
 
@@ -140,15 +133,15 @@ def ft(
 @app.command()
 def motion(
     robot: Annotated[str, Argument(help="nao, g1, t1, op3, or path of an MJCF file with robot and floor.")],
-    budget: Annotated[float, Option(help="Most time in s.")] = 40.0,
-    goal: Annotated[str, Option(help="cop, or channel for the worst channel's force.")] = "cop",
-    enough: Annotated[float, Option(help="End at this deviation: mm of the CoP, or N of a channel.")] = 0.0,
-    torque: Annotated[float, Option(help="Largest share of a leg motor's torque.")] = 0.95,
+    budget: Annotated[float, Option(help="Longest duration in s.")] = 40.0,
+    goal: Annotated[str, Option(help="cop, or channel for the force of the worst channel.")] = "cop",
+    enough: Annotated[float, Option(help="Stop at this deviation: mm of CoP, or N of a channel.")] = 0.0,
+    torque: Annotated[float, Option(help="Largest share of the torque of a leg motor.")] = 0.95,
     margin: Annotated[float, Option(help="Least CoP margin to the edge, share of half the sole.")] = 0.12,
-    out: Annotated[Path | None, Option(help="Where to write it; by default <robot>_motion.csv.")] = None,
+    out: Annotated[Path | None, Option(help="CSV file of the motion; by default <robot>_motion.csv.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Plan how a robot should move to calibrate its feet: joint targets over time, and their gain."""
+    """Plan a motion that calibrates the feet of a robot: joint targets over time."""
     from surefoot.experiments.motion import Limits, plan_motion
 
     path = Path(f"{Path(robot).stem}_motion.csv") if out is None else out
@@ -161,11 +154,11 @@ def motion(
 
 def _check_reason(accept: str | None) -> None:
     if accept is not None and not accept.strip():
-        fail("--accept needs the reason why a refusal may be passed; every file that is made says it.")
+        fail("--accept needs the reason to continue, which is stored in every file.")
 
 
 def _guess(log: Path, *, walk: bool) -> NoReturn:
-    """Print an example of a mapping file for a bag, and end."""
+    """Print a proposed mapping file for a bag, and exit."""
     from surefoot.experiments.logs.guess import guess_topics
     from surefoot.experiments.study.progress import working
 
@@ -176,20 +169,22 @@ def _guess(log: Path, *, walk: bool) -> NoReturn:
     raise typer.Exit
 
 
-AnyLog = Annotated[Path, Argument(help="A walk, sets of a six-axis sensor, weighings, channels, or a bag.")]
-Page = Annotated[Path | None, Option(help="Where the page goes; by default beside the log.")]
+AnyLog = Annotated[
+    Path, Argument(help="A walk, sets of a six-axis sensor, weighings, bare channels, or a bag.")
+]
+Page = Annotated[Path | None, Option(help="HTML file of the report; by default beside the log.")]
 
 
 def check(
     log: AnyLog,
     out: Page = None,
     preset: Annotated[
-        Path | None, Option(help="Write the noise, drift, resolution and clock as a preset, .toml.")
+        Path | None, Option(help="Write noise, drift, resolution and clock as a preset.")
     ] = None,
     topics: Topics = None,
     as_json: Json = False,
 ) -> None:
-    """Name the flaws of a log, since when, how surely, and the measurement that would settle each."""
+    """Report the flaws of a log: since when, how certain, and which measurement would confirm each."""
     from surefoot.experiments.instrument.check import check_log, words_of
     from surefoot.experiments.instrument.page import write_check_page
     from surefoot.experiments.instrument.preset import write_preset

@@ -19,31 +19,31 @@ CONTROLLERS = (
     "imported and run"
 )
 REFUSED = 3
-"""Exit code where data do not determine, or contradict, what was asked; 2 is for what cannot be read."""
+"""Exit code if the data contradict each other or do not determine the result. Unreadable files give 2."""
 
-INTERRUPTED = 130  # as shells say of a process that Ctrl-C ended
+INTERRUPTED = 130  # the exit code of shells after Ctrl-C
 
 Names = list[str] | None
 Numbers = list[float] | None
 Paths = list[Path] | None
-Out = Annotated[Path, Option(help="Folder for everything that is made.")]
-Json = Annotated[bool, Option("--json", help="Print tables and paths as JSON, and nothing else.")]
-Jobs = Annotated[int, Option(help="Processes that work at the same time.", min=1)]
+Out = Annotated[Path, Option(help="Folder of the results.")]
+Json = Annotated[bool, Option("--json", help="Print only tables and paths, as JSON.")]
+Jobs = Annotated[int, Option(help="Number of processes.", min=1)]
 
 
 def fail(message: str, code: int = 2) -> NoReturn:
-    """End with one line that names the flaw and the cure, and an exit code."""
+    """Exit with a one-line message, which names the error and the remedy, and an exit code."""
     typer.echo(f"surefoot: {message}", err=True)
     raise typer.Exit(code)
 
 
 @contextmanager
 def one_line_errors(out: Path | None = None, cure: str = "give another folder with --out.") -> Iterator[None]:
-    """Turn an interruption, or a user's mistake, into one line; with the folder, and the cure."""
+    """Turn an interruption or a user's error into one line, with the output folder and the remedy."""
     try:
         yield
     except KeyboardInterrupt:
-        kept = "" if out is None else f" What is finished is kept in '{out}', and the same command goes on."
+        kept = "" if out is None else f" Finished parts are kept in '{out}'; the same command continues."
         typer.echo(f"Stopped.{kept}", err=True)
         raise typer.Exit(INTERRUPTED) from None
     except (ValueError, FileNotFoundError) as error:
@@ -65,10 +65,10 @@ def show(
     said: str = "",
     **facts: Any,
 ) -> None:
-    """Print the results of a command: notices, tables, and the kind and place of each file.
+    """Print the results of a command: notices, tables, text, and the kind and path of each file.
 
-    As JSON it is one object: ``notices``, ``tables`` by name, ``files``, and in place of the text the
-    facts.
+    The JSON output is one object with ``notices``, ``tables`` by name, ``files``, and the facts instead of
+    the text.
     """
     if as_json:
         plain = {table.name: table.to_plain() for table in tables}

@@ -1,4 +1,4 @@
-"""``surefoot train`` and ``surefoot evaluate``: policies, and what their feet are worth to them."""
+"""``surefoot train`` and ``surefoot evaluate``: train policies, and compare them on different feet."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,19 +20,19 @@ from surefoot.experiments.cli.console import (
 
 
 def train(
-    out: Annotated[Path, Option(help="Folder; one that was stopped there goes on.")] = Path("out/policy"),
+    out: Annotated[Path, Option(help="Folder; a stopped training continues.")] = Path("out/policy"),
     task: Annotated[str, Option(help="balance, walk, balance-hard or walk-hard.")] = "balance",
     sensors: Annotated[str, Option(help="CoP trained on: true, or randomised (drifting).")] = "true",
-    seed: Annotated[int, Option(help="Of everything random.", min=0, max=999)] = 0,
-    steps: Annotated[int | None, Option(help="Decisions in all; 160 000 by default.", min=1)] = None,
-    restart: Annotated[bool, Option("--restart", help="Start again, whatever the folder holds.")] = False,
-    export: Annotated[Path | None, Option(help="Only turn this Stable-Baselines3 zip into a policy.")] = None,
-    trusted: Annotated[bool, Option("--trusted", help="Trust the zip's maker: pickled code runs.")] = False,
+    seed: Annotated[int, Option(help="Seed of all random numbers.", min=0, max=999)] = 0,
+    steps: Annotated[int | None, Option(help="Total number of decisions; 160 000 by default.", min=1)] = None,
+    restart: Annotated[bool, Option("--restart", help="Start again, even in a used folder.")] = False,
+    export: Annotated[Path | None, Option(help="Only convert this Stable-Baselines3 zip.")] = None,
+    trusted: Annotated[bool, Option("--trusted", help="Trust the zip, whose code is run.")] = False,
 ) -> None:
     """Train a policy by PPO, and write it with its learning curve and a card."""
     from surefoot.experiments.policy.tasks import TrainOptions
 
-    with one_line_errors(out, "what was trained until the last checkpoint is there."):
+    with one_line_errors(out, "the training up to the last checkpoint is kept."):
         try:
             if export is not None:
                 from surefoot.experiments.policy.train import POLICY
@@ -55,7 +55,7 @@ def _train(out: Path, options: Any, restart: bool) -> None:
     board = find_spec("tensorboard") is not None
     trainer = Trainer(out, options, restart=restart)
     if trainer.updates:
-        typer.echo(f"Going on after {trainer.updates} of {options.updates} updates.")
+        typer.echo(f"Continuing after {trainer.updates} of {options.updates} updates.")
     if board:
         typer.echo(f"Curves: tensorboard --logdir {out / BOARD}")
     try:
@@ -68,31 +68,24 @@ def _train(out: Path, options: Any, restart: bool) -> None:
 
             trainer.run(show, board=board)
     except KeyboardInterrupt:
-        fail(f"stopped; the same command goes on from the last checkpoint in '{out}'.")
+        fail(f"stopped; the same command continues from the last checkpoint in '{out}'.")
     finally:
         trainer.close()
     typer.echo(f"Policy: {out / POLICY}\nCard: {write_card(out)}")
 
 
 Policies = Annotated[
-    Names, Argument(help=f"{CONTROLLERS}; a .zip of Stable-Baselines3; NAME=POLICY, again for more.")
+    Names, Argument(help=f"{CONTROLLERS}; a .zip of Stable-Baselines3; NAME=POLICY; repeatable.")
 ]
 Feeds = Annotated[
     Names,
-    Option(
-        "--feed",
-        help="true, raw, weights, tare, quasi-static, window, moment or module:name.",
-    ),
+    Option("--feed", help="true, raw, weights, tare, quasi-static, window, moment or module:name."),
 ]
 Severities = Annotated[
-    Numbers, Option("--severity", help="Factor of the sensors' errors; again for more; else 0.5, 1, 2 and 3.")
+    Numbers, Option("--severity", help="Factor of the errors; repeatable; by default 0.5, 1, 2, 3.")
 ]
-Faults = Annotated[
-    Names, Option("--fault", help="What breaks how likely, dies=0.02; or when; again for more.")
-]
-Scenarios = Annotated[
-    Names, Option(help="payload=1.5, slope=3, friction=0.3, soft=0.05, push=2; again for more.")
-]
+Faults = Annotated[Names, Option("--fault", help="Fault, dies=0.02, or with its time; repeatable.")]
+Scenarios = Annotated[Names, Option(help="payload=1.5, slope=3, friction=0.3, soft=0.05, push=2; repeatable")]
 
 
 def evaluate(
@@ -102,35 +95,35 @@ def evaluate(
     feeds: Feeds = None,
     severities: Severities = None,
     faults: Faults = None,
-    seeds: Annotated[int | None, Option(help="Episodes of each combination; else 50.", min=1)] = None,
-    first_seed: Annotated[int | None, Option(help="The first of the seeds; else 20000.", min=0)] = None,
-    cells: Annotated[str | None, Option(help="Preset of the sensors under the feet.")] = None,
-    soles: Annotated[bool, Option("--soles", help="Flat soles under feet without area.")] = False,
-    env_options: Annotated[Names, Option("--option", help="Of the environment, NAME=VALUE.")] = None,
+    seeds: Annotated[int | None, Option(help="Episodes per combination; by default 50.", min=1)] = None,
+    first_seed: Annotated[int | None, Option(help="First seed; by default 20000.", min=0)] = None,
+    cells: Annotated[str | None, Option(help="Name or .toml file of a preset of the foot sensors.")] = None,
+    soles: Annotated[bool, Option("--soles", help="Flat soles for feet without area.")] = False,
+    env_options: Annotated[Names, Option("--option", help="Option of the environment, NAME=VALUE.")] = None,
     scenario: Scenarios = None,
-    observe: Annotated[Names, Option(help="Parts that the policy sees, or module:function.")] = None,
-    wrap: Annotated[str | None, Option(help="Wrapper of the training, module:Class.")] = None,
-    statistics: Annotated[str | None, Option(help="File of VecNormalize, a pickle.")] = None,
-    trusted: Annotated[bool, Option("--trusted", help="Trust makers of pickles: their code runs.")] = False,
-    settle: Annotated[float | None, Option(help="Time in s before the policy is asked.", min=0.0)] = None,
+    observe: Annotated[Names, Option(help="Parts for the policy, or module:function.")] = None,
+    wrap: Annotated[str | None, Option(help="Wrapper that was used in training, module:Class.")] = None,
+    statistics: Annotated[str | None, Option(help="Pickle file of VecNormalize.")] = None,
+    trusted: Annotated[bool, Option("--trusted", help="Trust pickles, whose code is run.")] = False,
+    settle: Annotated[float | None, Option(help="Time in s before the policy acts.", min=0.0)] = None,
     duration: Annotated[float | None, Option(help="Longest duration of an episode in s.", min=0.0)] = None,
-    metrics: Annotated[Names, Option("--metric", help="Name in info whose mean is a column.")] = None,
-    config: Annotated[Path | None, Option(help="TOML or JSON; options replace its values.")] = None,
-    out: Annotated[Path, Option(help="Folder; one that was stopped goes on.")] = Path("out/evaluate"),
-    case: Annotated[int | None, Option(help="Only run this episode of the folder again.", min=0)] = None,
-    video: Annotated[Path | None, Option(help="Film that episode into this .mp4 as well.")] = None,
+    metrics: Annotated[Names, Option("--metric", help="Entry of info whose mean becomes a column.")] = None,
+    config: Annotated[Path | None, Option(help="TOML or JSON file; options override its values.")] = None,
+    out: Annotated[Path, Option(help="Folder; a stopped run continues.")] = Path("out/evaluate"),
+    case: Annotated[int | None, Option(help="Only repeat this episode of the folder.", min=0)] = None,
+    video: Annotated[Path | None, Option(help="Also film that episode into this .mp4.")] = None,
     jobs: Jobs = 2,
-    backend: Annotated[str, Option(help="Of joblib: loky, dask or ray.")] = "loky",
-    address: Annotated[str | None, Option(help="Of the scheduler of dask.")] = None,
-    any_version: Annotated[bool, Option("--any-version", help="Go on with other versions' rows.")] = False,
+    backend: Annotated[str, Option(help="Backend of joblib: loky, dask or ray.")] = "loky",
+    address: Annotated[str | None, Option(help="Address of the dask scheduler.")] = None,
+    any_version: Annotated[bool, Option("--any-version", help="Continue rows of other versions.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Evaluate policies on true, drifting and calibrated feet, on the same episodes; write a page."""
+    """Evaluate policies with true, drifting and calibrated foot sensors on the same episodes."""
     from surefoot.experiments.evaluate.command import Wanted, find_backend, load_config
 
     if video is not None and (case is None or video.suffix != ".mp4"):
         fail(f"--video films one episode into an .mp4: give --case and such a name, got '{video}'.")
-    with one_line_errors(out, "what is finished is kept."):
+    with one_line_errors(out, "finished episodes are kept."):
         given = {
             name: value
             for name, value in ctx.params.items()
@@ -169,7 +162,7 @@ def _report(results: Any, as_json: bool) -> None:
 
 
 def _repeat(wanted: Any, out: Path, case: int, video: Path | None, trusted: bool, as_json: bool) -> None:
-    """Run one episode again, and say whether it comes out the same to the last digit."""
+    """Repeat one episode, and report whether the result is identical."""
     from surefoot.experiments.evaluate.command import film_case
     from surefoot.experiments.evaluate.episode import OUTCOME
     from surefoot.experiments.evaluate.grid import load_evaluation, repeat

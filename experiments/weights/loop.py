@@ -1,12 +1,12 @@
-r"""Hysteresis of a cell under weights up and down, and the drift of its zero meanwhile, by the order of rows.
+r"""Estimate hysteresis and zero drift of a cell from the order in which weights were put on and taken off.
 
-Under one load F a cell's readings, which its line or curve has made newtons, are
+Under a load F, readings in N (by the cell's line or curve) are
 
 .. math:: y = m_F + h\, L(F) + d\, t + n
 
-with a mean of its own for each load, so that no shape of the curve is asked for; the way L to this load, of
-the emulated cells (:mod:`surefoot.sensors.stages.hysteresis`) by a unit of their share; and the place t of
-the row in the table, from 0 to 1. Student's t tests h and d, each beside the other.
+with one mean per load, so that the shape of the curve does not matter. L is the hysteresis of the emulated
+cells (:mod:`surefoot.sensors.stages.hysteresis`) per unit of its share, and t is the position of the row in
+the table, from 0 to 1. Student's t tests h and d jointly.
 """
 
 from typing import NamedTuple
@@ -19,32 +19,32 @@ from surefoot.sensors.stages.hysteresis import hysteresis
 from surefoot.sensors.stages.mechanics import SMALLEST_LOOP
 
 UNIT = 1e-3  # share of hysteresis for which loops are computed; they are proportional to it
-ALARM = 1e-4  # probability that a cell without hysteresis, or without drift, is said to have some
+ALARM = 1e-4  # probability of reporting hysteresis or drift of a cell without them
 WIDER = 2.0 ** np.arange(0.0, 1.0, 0.125)
-"""Full scales of loops in largest loads: from 2 on the loops are the same again."""
+"""Full scales of loops, in units of the largest load. From 2 on the loops repeat."""
 SHAPE = 0.1
-"""Share of a loop's width that is taken for drift: seen with curved cells whose loops are 5 % wide."""
+"""Share of the width of a loop that appears as drift, from simulated curved cells with loops of 5 %."""
 LEAST = 5e-4
-"""Share of the full scale from which hysteresis is worth a word: cheap load cells are sold with it."""
+"""Share of the full scale from which hysteresis is reported: the specification of cheap load cells."""
 
 
 class Memory(NamedTuple):
-    """What a cell's readings owe to the order of its weighings."""
+    """Effects of the order of weighings on the readings of a cell."""
 
     hysteresis: float  # width of the loop at half the largest load, in shares of that load
     hysteresis_std: float
     drift: float  # of the zero from the first row to the last in N
     drift_std: float
-    reach: float  # standard deviations from which hysteresis or drift are surely there
+    reach: float  # number of standard deviations from which hysteresis or drift are significant
 
     @property
     def loops(self) -> bool:
-        """Whether there surely is hysteresis that is worth a word."""
+        """Whether hysteresis is significant and large enough to be reported."""
         return abs(self.hysteresis) > max(self.reach * self.hysteresis_std, LEAST)
 
     @property
     def drifts(self) -> bool:
-        """Whether the zero surely drifts."""
+        """Whether the drift of the zero is significant."""
         return abs(self.drift) > self.reach * self.drift_std
 
 

@@ -1,4 +1,4 @@
-"""The page of weighings: each cell's readings against its loads, its line or curve, and what they leave."""
+"""The page of weighings: readings of each cell over its loads, its line or curve, and the residuals."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,9 +18,9 @@ UP, DOWN, OUT, LINE = "#0072B2", "#D55E00", "#CC79A7", "#000000"
 POINTS = 200  # of a drawn curve
 
 CAPTION = (
-    "Left, readings under known weights, on the way up and on the way down, with the cell's line or curve; "
-    "right, the residual, calibrated force less weight. Readings that were left out have no residual; those "
-    "beyond the panel stand at its edge."
+    "Left: readings under known weights, with rising and falling load, and the line or curve of the cell. "
+    "Right: residuals, the calibrated force minus the weight. Readings that were left out have no residual. "
+    "Readings outside the panel are drawn at its edge."
 )
 
 
@@ -37,8 +37,8 @@ def write_weights_page(path: Path, found: CalibratedCells) -> Path:
         path,
         f"{found.file}, calibrated by known weights",
         "by 'surefoot calibrate weights'",
-        "Each cell bore known weights by itself. Its force is scale times count plus offset, behind a curve "
-        "where no line will do.",
+        "Each cell carried known weights alone. Its force is scale times count plus offset, after a curve if "
+        "a line does not fit.",
         Table("log", "The log", ("what", ""), rows),
         found.notices,
         lambda folder: _sections(folder, found),
@@ -94,7 +94,7 @@ def _draw_cell(left: Axes, right: Axes, found: CalibratedCells, i: int) -> None:
 
 
 def falls(load: Floats) -> NDArray[np.bool_]:
-    """Whether each load of a weighing, in order, was reached from a larger one, shape (n,)."""
+    """Return whether each load, in order, was reached from a larger one, shape (n,)."""
     turns = np.diff(load, prepend=load[0])
     last = np.maximum.accumulate(np.where(turns != 0.0, np.arange(len(load)), 0))
     return turns[last] < 0.0

@@ -195,7 +195,7 @@ def test_wrong_arguments_end_in_one_line(log: Log, tmp_path: Path) -> None:
     fails([*walk, path, "--settle", "99"], "--settle must be shorter than the log's 0.7375 s, got 99.")
     fails(
         ["calibrate", "ft", "--sample", "--accept", " "],
-        "--accept needs the reason why a refusal may be passed; every file that is made says it.",
+        "--accept needs the reason to continue, which is stored in every file.",
     )
     fails(
         ["view", "--feed", "guess"],

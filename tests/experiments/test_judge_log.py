@@ -173,7 +173,7 @@ class TestCommand:
 
     def test_a_reason_must_be_given(self, tmp_path: Path) -> None:
         result = run("calibrate", "walk", tmp_path / "walk.csv", "--accept", " ", code=2)
-        assert "--accept needs the reason why a refusal may be passed" in result.stderr
+        assert "--accept needs the reason to continue" in result.stderr
 
     def test_slow_converters_are_told(self, bad_start: Log, tmp_path: Path, no_page: None) -> None:
         raw = bad_start.raw.copy()

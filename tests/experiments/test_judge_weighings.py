@@ -113,7 +113,7 @@ def test_a_reading_at_the_rail_does_not_turn_the_line(spoilt: ModuleType, tmp_pa
 def test_a_page_does_not_replace_its_map(spoilt: ModuleType, tmp_path: Path) -> None:
     path = write(spoilt.weigh("one cell", 3), tmp_path / "scales.csv")
     result = run("calibrate", "weights", path, "--out", tmp_path / "map.html", code=2)
-    assert "end the map's name in .json" in result.stderr
+    assert "end the name in .json" in result.stderr
     assert not (tmp_path / "map.html").exists()
 
 
