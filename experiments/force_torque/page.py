@@ -4,9 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from surefoot.experiments.force_torque import figures, tables
-from surefoot.experiments.study.page import ReportFigure, Section, Words, write_log_page
-
-_say = Words("force_torque")
+from surefoot.experiments.study.page import ReportFigure, Section, write_log_page
 
 
 def write_in_situ_page(path: Path, found: tables.Calibrated) -> Path:
@@ -16,8 +14,8 @@ def write_in_situ_page(path: Path, found: tables.Calibrated) -> Path:
         path,
         f"{log.config.sensor.name or 'Six-axis sensor'}, calibrated in situ",
         f"from {', '.join(log.files)}",
-        "A limb hung on the sensor and was turned about with different known masses on it. Gravity gives "
-        "what the sensor should have read; matrix and offset are those that agree with it best.",
+        "A limb on the sensor was turned with different known masses on it. Gravity gives the wrench that "
+        "the sensor should read. Matrix and offset are those that agree with it best.",
         tables.set_table(found),
         found.notices,
         lambda folder: _sections(folder, found),
@@ -25,21 +23,48 @@ def write_in_situ_page(path: Path, found: tables.Calibrated) -> Path:
 
 
 def _sections(folder: Path, found: tables.Calibrated) -> Iterator[Section]:
-    limb = (tables.limb_table(found),)
-    yield Section("weight", "Weight of the limb", (_say("weight"),), tables=limb)
-    matrices = ", and by ".join(f"the {name} matrix" for name in found.matrices)
+    text = (
+        "All forces scale with the added masses. The mass of the limb is a result of the fit, so weighing "
+        "the limb checks the absolute scale. Forces that form perfect spheres may still be wrong by a "
+        "factor."
+    )
+    yield Section("weight", "Weight of the limb", (text,), tables=(tables.limb_table(found),))
+    matrices = " and by ".join(f"the {name} matrix" for name in found.matrices)
     caption = f"Force of each set in N while the limb turned, with its fitted ellipsoid, by {matrices}."
     shown = (ReportFigure(figures.force_ellipsoids(folder / "forces.png", found), "Figure 1", caption),)
+    text = (
+        "The force of a limb of constant weight lies on a sphere while the limb turns. A wrong matrix makes "
+        "it an ellipsoid (in-situ paper, Table I and Fig. 6)."
+    )
     axes = (tables.semi_axes_table(found),)
-    yield Section("spheres", "Spheres", (_say("spheres"),), tables=axes, figures=shown)
+    yield Section("spheres", "Spheres", (text,), tables=axes, figures=shown)
     if weighed := tables.weighing_tables(found):
-        yield Section("masses", "Added masses", (_say("masses"),), tables=weighed)
+        text = (
+            "Without the limb, the remaining force gives the added masses and their places (in-situ paper, "
+            "Tables II and III)."
+        )
+        yield Section("masses", "Added masses", (text,), tables=weighed)
+    text = (
+        "Wrench = matrix (raw - offset), exerted by the limb on the robot through the sensor, in the frame "
+        "of the sensor. The standard deviations do not include errors of the given masses and places."
+    )
     matrix = (tables.matrix_table(found), tables.offset_table(found))
-    yield Section("calibration", "The calibration", (_say("matrix"),), tables=matrix)
-    path = figures.raw_ellipsoids(folder / "raw.png", found)
-    shown = (ReportFigure(path, "Figure 2", _say("raw_figure")),)
-    yield Section("raw", "Raw readings", (_say("raw"),), figures=shown)
-    caption = "What the fit leaves of every channel, with one offset a set."
+    yield Section("calibration", "The calibration", (text,), tables=matrix)
+    text = (
+        "Readings of a rigid limb at rest lie on an ellipsoid in a three-dimensional subspace of the "
+        "channels (in-situ paper, Lemma 1 and Fig. 5). The rest is noise, hysteresis, motion or bending of "
+        "the limb."
+    )
+    caption = (
+        "Readings of each set along their three principal directions with the ellipsoid of gravity, and the "
+        "share of their spread outside these directions."
+    )
+    shown = (ReportFigure(figures.raw_ellipsoids(folder / "raw.png", found), "Figure 2", caption),)
+    yield Section("raw", "Raw readings", (text,), figures=shown)
+    text = (
+        "Noise has no structure. A slope indicates drift, a loop hysteresis, and a step a contact or a "
+        "loose part."
+    )
     path = figures.residuals_over_time(folder / "residuals.svg", found)
-    shown = (ReportFigure(path, "Figure 3", caption),)
-    yield Section("residuals", "Residuals", (_say("residuals"),), figures=shown)
+    shown = (ReportFigure(path, "Figure 3", "Residuals of every channel, with one offset per set."),)
+    yield Section("residuals", "Residuals", (text,), figures=shown)
