@@ -1,9 +1,9 @@
-r"""Keeping the centre of mass over its plan with the ankles.
+r"""Feedback of the capture point to the ankles, which keeps the centre of mass on its plan.
 
-The capture point :math:`\xi = c + \dot c \sqrt{h / g}` tips (c centre of mass, h its height). Motors alone
-hold it against gravity with the ankle's stiffness less the loss in soft contacts and the other joints, which
-may be too little on one foot; so the ankles push the ground's reaction beyond its error,
-:math:`\Delta p = k (\xi - \xi_{plan})`, within the sole.
+The capture point :math:`\xi = c + \dot c \sqrt{h / g}` is unstable (c is the centre of mass, h its height).
+Without feedback only the stiffness of the ankle motors holds it, reduced by the compliance of the contacts
+and of the other joints, which may not suffice on one foot. The ankles therefore shift the centre of pressure
+by :math:`\Delta p = k (\xi - \xi_{plan})`, within the sole.
 """
 
 from math import sqrt
@@ -19,11 +19,11 @@ from surefoot.envs.exercise.robot import ExerciseRobot, motor_moments
 from surefoot.envs.instrumentation.truth import FeetTruth
 
 GAIN: Final = 1.0
-"""How far the ankles push the centre of pressure per metre of the capture point's error, in m."""
+"""Shift of the centre of pressure in m per metre of the capture point's error; chosen."""
 
 
 class AnkleBalance:
-    """Turns an error of the capture point into a correction of the motors' targets."""
+    """Map from an error of the capture point to a correction of the motors' targets."""
 
     def __init__(self, robot: ExerciseRobot, motion: Motion) -> None:
         self._motion = motion
@@ -46,7 +46,7 @@ class AnkleBalance:
         self._left, self._right = np.array(of_shift).swapaxes(-1, -2)
 
     def correction(self, truth: FeetTruth, command: Command) -> Floats:
-        """Answer the last row of truth with a correction of leg motors' targets in rad, shape (..., L)."""
+        """Return the correction of leg motors' targets in rad for the last row of truth, shape (..., L)."""
         share = self._motion.shares(command)
         left, right = share[..., :1], share[..., 1:]
         slid = (truth.position_sole[..., -1, :, :] - command.position_sole)[..., :2]

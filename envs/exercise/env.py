@@ -1,4 +1,4 @@
-"""A humanoid with flat feet sways, squats and lifts its feet: a robot's motions to calibrate them."""
+"""A humanoid with flat feet sways, squats and lifts its feet, which calibrates their sensors."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -21,28 +21,28 @@ from surefoot.envs.prelude import Prelude
 from surefoot.envs.rendering import SceneRenderer
 
 CONTROL_STEP: Final = 0.02
-"""Duration of a step in s, up to the simulation's own step: a whole number of the 2 ms and 1.25 ms with which
-the robots are simulated, which 1/80 s is not, and as often as humanoids of this size are commanded."""
+"""Duration of a step in s: a usual control period of humanoids, and a multiple of the simulated steps (2 ms
+and 1.25 ms)."""
 
-FEWEST_SUBSTEPS: Final = 5  # simulation steps that a step must have at least
+FEWEST_SUBSTEPS: Final = 5  # minimum number of simulation steps per step
 
 FALLEN_TILT: Final = 0.8
-"""Angle between the torso and its first posture's vertical in rad above which the robot has fallen."""
+"""Angle of the torso from its initial orientation to the vertical in rad above which the robot has fallen."""
 
 FALLEN_HEIGHT: Final = 0.6
-"""Height of the torso's origin below which it has fallen, as a share of that in the first posture."""
+"""Height of the torso's origin below which the robot has fallen, as a share of the initial height."""
 
 COP_WIDTH: Final = 0.08
-"""Error of the centre of pressure that costs 63 % of its reward, as a share of the robot's height (CoM)."""
+"""Error of the centre of pressure at which its reward has fallen to 1/e, as a share of the CoM height."""
 
 
 class ExerciseEnv(BipedEnv):
-    """Calibration exercises of a biped under position control; docs/exercise.md says more.
+    """Calibration exercises of a biped under position control (see docs/exercise.md).
 
-    A step lasts 0.02 s. The action is a residual on the targets of the leg motors, zero for the exercise
-    alone; observations have :class:`~surefoot.envs.NaoEnv`'s keys, and so have reward and ``info``. The
-    robot's own sensors, colliders and torque limits stay; motors of the legs that are too weak to stand on
-    one foot get higher gains, and the ankles answer errors of the centre of mass.
+    A step lasts 0.02 s. The action is a residual on the targets of the leg motors; zero plays the exercise.
+    Observations, reward and ``info`` have the keys of :class:`~surefoot.envs.NaoEnv`. Sensors, colliders and
+    torque limits of the robot are kept. Gains of leg motors that are too low to stand on one foot are raised,
+    and the ankles react to errors of the centre of mass.
 
     *Terminated* once the torso leans by more than 0.8 rad or has sunk below 0.6 of its height; *truncated*
     after ``duration``.
@@ -53,12 +53,12 @@ class ExerciseEnv(BipedEnv):
             "standing" or in its zero pose, heading along x, with a position motor for each joint of its legs.
             Give a name or a path where ``env.spec`` is needed, to make the environment again or to save it:
             an ``MjSpec`` cannot be copied into it, and ``env.spec`` is ``None`` then.
-        feet: Names of the feet's bodies, the left one first; None to guess.
+        feet: Names of the feet's bodies, the left one first; ``None`` to find them.
         duration: Length of an episode in s, or ``None`` for no end.
-        amplitude: Least and largest share of each sway and squat that an episode draws, at most 1.
-        tempo: Least and largest factor on all speeds that it draws, at most 1.5.
+        amplitude: Range from which an episode draws the extents of sways and squats, at most 1.
+        tempo: Range from which it draws a factor on all speeds, at most 1.5.
         prelude: The robot's motion before each episode, or the path of its file, which ``surefoot calibrate
-            motion`` writes; ``None`` for nothing. ``duration`` begins after it.
+            motion`` writes; ``None`` for no motion. ``duration`` begins after it.
         action_scale: The change of a target by a full action, in rad.
         joint_noise: Largest initial error of a joint in rad.
         velocity_noise: Largest initial velocity of the torso along each axis, in m/s and rad/s.
@@ -70,8 +70,8 @@ class ExerciseEnv(BipedEnv):
         model: The MuJoCo model.
         data: Its state.
         truth: The truth of the last step, at every substep.
-        drawing: The drawing by the robot's maker.
-        command: The robot's present command to itself; its targets are of all M motors in model order.
+        drawing: The nominal description of the robot.
+        command: The robot's present command, with targets of all M motors in model order.
         motion: Its possible motions.
         prelude: Plays the motion before the episode (:class:`~surefoot.envs.prelude.Player`).
         joint_names: The J hinge joints.
@@ -149,7 +149,7 @@ class ExerciseEnv(BipedEnv):
 
     def __getstate__(self) -> dict[str, Any]:
         given = {} if self.spec is None else self.spec.kwargs
-        # An MjSpec cannot be copied: without it there is no env.spec, as where it was made.
+        # An MjSpec cannot be copied, so that the copy has no env.spec either.
         spec = None if isinstance(given.get("robot"), mujoco.MjSpec) else self.spec
         return vars(self) | {"spec": spec}
 
@@ -159,7 +159,7 @@ class ExerciseEnv(BipedEnv):
 
     @staticmethod
     def join(plans: Sequence[Schedule]) -> Schedule:
-        """Put moves of many robots into one."""
+        """Join the moves of many robots."""
         return Schedule.join(plans)
 
     def command_at(self, plan: Schedule, tick: Any) -> Command:
@@ -167,7 +167,7 @@ class ExerciseEnv(BipedEnv):
         return self.motion.command(tick * self.dt, plan)
 
     def place(self, command: Command, target: Floats) -> None:
-        """Put the robot into its first posture."""
+        """Place the robot in its first posture."""
         model, data, rng = self.model, self.data, self.np_random
         joints = self._joint_dofs
         data.qpos[:] = self.motion.qpos
@@ -181,7 +181,7 @@ class ExerciseEnv(BipedEnv):
         return self._instrumentation.read_rows(self.model, rows)
 
     def correct(self, truth: FeetTruth, command: Command) -> Floats:
-        """Let the ankles answer what a step ended with."""
+        """Return the correction by the ankles for the end of a step."""
         return self._balance.correction(truth, command)
 
     def reward(self, seen: Seen) -> dict[str, float]:
@@ -191,7 +191,7 @@ class ExerciseEnv(BipedEnv):
 
 
 def _up_to(name: str, value: Sequence[float], highest: float) -> tuple[float, float]:
-    """Return a range of positive numbers, or raise ValueError if it is none or exceeds ``highest``."""
+    """Return a range of positive numbers, or raise ValueError if it is not one or exceeds ``highest``."""
     low, high = check_range(name, value)
     if not 0.0 < low <= high <= highest:
         raise ValueError(f"'{name}' must be (lowest, highest) in (0, {highest}], got {value!r}.")

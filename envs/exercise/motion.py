@@ -1,15 +1,15 @@
-r"""The exercise: where the centre of mass and the feet go, and the motors' targets.
+r"""The motions of an exercise: centre of mass, feet and targets of the motors.
 
-It is made of *paths*, straight lines of the centre of mass on which one foot may rise, with the motors'
-targets tabulated along each; a *move* runs along a path from one place to another with least jerk,
-:math:`s(t) = 10 t^3 - 15 t^4 + 6 t^5` of the way after the share :math:`t` of its time. Postures hence
-fit any extent of a move, which an episode draws.
+*Paths* are straight lines of the centre of mass along which one foot may rise, with tabulated targets of the
+motors. A *move* runs along a path from one point to another with minimum jerk: after the share :math:`t` of
+its time it has covered the share :math:`s(t) = 10 t^3 - 15 t^4 + 6 t^5` of its length. The tables therefore
+serve moves of any extent.
 
-A cycle lifts one foot and then the other, shortly at first and then longer, with sways and a squat in
-between; or motions are played by their names (:mod:`surefoot.envs.exercise.moves`). Distances are shares of
-the soles' size, times are multiples of :math:`\sqrt{h / g}` (:math:`h` the height of the centre of mass),
-the time scale of a falling pendulum: a sway of amplitude :math:`A` in 4.5 of them asks for a centre of
-pressure that leads by at most 0.29 :math:`A`.
+An episode lifts one foot and then the other, first for a short and then for a longer time, with sways and a
+squat in between. Motions can also be played by name (:mod:`surefoot.envs.exercise.moves`). Distances are
+shares of the soles' size and times are multiples of :math:`\sqrt{h / g}`, the time scale of a falling
+pendulum (:math:`h` is the height of the centre of mass): a sway of amplitude :math:`A` in 4.5 of these units
+needs a centre of pressure that leads by at most 0.29 :math:`A`.
 """
 
 from collections.abc import Sequence
@@ -35,18 +35,19 @@ from surefoot.envs.prelude import Prelude
 from surefoot.envs.robots.library import ROBOTS
 
 MOVE_TIME: Final = 4.5  # duration of a sway to one side in units of sqrt(h / g)
-KNOT_SPACING: Final = 0.2  # distance of tabulated postures as a share of a path
+KNOT_SPACING: Final = 0.2  # distance between tabulated postures as a share of a path
 
 BENDS: Final = (0.6, 0.8, 1.0, 0.3)
-"""Flexions that are added to the knees, in rad: the first with which everything is in reach is taken."""
+"""Flexions that are added to the knees in rad. The first one for which the legs reach all paths is used."""
 
 INWARD: Final = (0.0, 0.25, 0.5)
-"""How far inside the middle of its sole the robot stands on one leg, shares of its half width: likewise."""
+"""Distances from the middle of the sole, towards the other foot, at which the robot stands on one leg, as
+shares of the sole's half width. The first one for which the legs reach all paths is used."""
 
 FORWARD: Final = 0.45  # amplitude of a sway forward as a share of half a sole's length
 ASIDE: Final = 0.6  # amplitude of a sway to a side as a share of half the distance between the feet
-SQUAT: Final = 0.1  # how far the centre of mass sinks in a squat, as a share of its height
-LIFT: Final = 0.06  # how far a foot rises, as a share of the height of the centre of mass
+SQUAT: Final = 0.1  # depth of a squat as a share of the height of the centre of mass
+LIFT: Final = 0.06  # lift of a foot as a share of the height of the centre of mass
 
 ONE_LEG_FORWARD: Final = 0.35
 """Amplitude of a sway forward over one foot as a share of half its sole's length."""
@@ -56,28 +57,28 @@ SURELY_BEARS: Final = 0.1  # share of the weight above which a foot on the groun
 SURELY_UP: Final = 0.5  # share of the lift above which a foot is in swing
 
 REACH: Final = 1.6
-"""How far paths go on beyond their end where the legs can, for motions that are played by name."""
+"""Largest extent of a path if the legs reach it, for motions that are played by name."""
 
 _PLANNED: "dict[tuple[Any, ...], Motion]" = {}
 
 
 class Paths(NamedTuple):
-    """P lines along which the robot moves, each by its parameter s."""
+    """P lines along which the robot moves, with a parameter s."""
 
     com: Floats  # centre of mass at s = 0 in m, shape (P, 3)
     along: Floats  # its displacement per unit of s in m, shape (P, 3)
     lift: Floats  # heights of both feet at s = 0 in m, shape (P, 2)
     rise: Floats  # their change per unit of s in m, shape (P, 2)
-    first: Floats  # the least s that the legs reach, shape (P,)
-    last: Floats  # the largest, shape (P,)
-    pieces: NDArray[np.intp]  # number of the last cubic of each path, shape (P,)
+    first: Floats  # smallest s that the legs reach, shape (P,)
+    last: Floats  # largest s that the legs reach, shape (P,)
+    pieces: NDArray[np.intp]  # index of the last cubic of each path, shape (P,)
     piece: Floats
     """Cubics of the motors' targets in rad between knots: coefficients, that of the third power first, shape
     (P, pieces, 4, 3, M); paths with fewer knots are filled up."""
 
     @classmethod
     def of(cls, lines: Sequence[tuple[Any, ...]]) -> "Paths":
-        """Put lines into arrays, of which the last part are the targets."""
+        """Collect lines, whose last entry is the spline of the targets, in arrays."""
         *parts, targets = zip(*lines, strict=True)
         cubics = [np.moveaxis(target.c, 0, 1) for target in targets]
         pieces = np.array([len(cubic) - 1 for cubic in cubics])
@@ -88,10 +89,10 @@ class Paths(NamedTuple):
 
 
 def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Motion":
-    """Plan the exercise of a robot, once for all environments of the same; each has a model of its own.
+    """Plan the exercise of a robot once per process. Each call returns another copy of the model.
 
-    Arguments and errors are those of :func:`~surefoot.envs.exercise.robot.prepare_robot`; a ``mujoco.MjSpec``
-    is not kept, and ValueError says as well that the robot cannot do the exercise.
+    Arguments and errors are those of :func:`~surefoot.envs.exercise.robot.prepare_robot`; the plan
+    of a ``mujoco.MjSpec`` is not stored. ValueError is also raised if the robot cannot do the exercise.
     """
     named = isinstance(robot, str) and robot in ROBOTS
     if not named and not (isinstance(robot, str | Path) and Path(robot).is_file()):
@@ -104,11 +105,11 @@ def plan_motion(robot: Any, feet: Sequence[str] | None, *, boxes: bool) -> "Moti
 
 
 class Motion:
-    """Everything that a robot does in an exercise, planned once; ValueError if the legs cannot do it.
+    """All motions of a robot in an exercise; ValueError if the legs cannot do them.
 
-    Of the posture between the moves: ``qpos``, (nq,); ``height`` of the centre of mass in m; ``up_torso``,
-    the vertical in the torso's axes, (3,); ``position_sole`` in m, (2, 3), and the headings ``yaw_sole`` in
-    rad, (2,).
+    Attributes of the posture between the moves: ``qpos``, (nq,); ``height`` of the centre of mass in m;
+    ``up_torso``, the vertical in the torso's axes, (3,); ``position_sole`` in m, (2, 3), and the headings
+    ``yaw_sole`` in rad, (2,).
     """
 
     def __init__(self, robot: ExerciseRobot) -> None:
@@ -123,7 +124,7 @@ class Motion:
         )
 
     def shares(self, command: Command) -> Floats:
-        """Return how much of the weight each foot is to bear, shape (..., 2)."""
+        """Return the planned share of the weight on each foot, shape (..., 2)."""
         return self._postures.shares(command.cop, command.position_sole[..., 2])
 
     def _plan(self, postures: Postures) -> None:
@@ -172,8 +173,8 @@ class Motion:
         first: float,
         start: Floats | None = None,
     ) -> Floats:
-        """Tabulate a path from s = 0 outwards; returns the posture at s = 1."""
-        # What lifts a foot, or brings the robot over one, ends at 1.
+        """Tabulate a path outwards from s = 0, and return the posture at s = 1."""
+        # Paths that lift a foot or move the robot over one foot end at 1.
         steps = round((REACH if first < 0.0 else 1.0) / KNOT_SPACING)
         postures: dict[float, Floats] = {}
         up = np.maximum(lift, lift + rise)
@@ -200,9 +201,9 @@ class Motion:
     def draw(
         self, rng: np.random.Generator, amplitude: tuple[float, float], tempo: tuple[float, float]
     ) -> Schedule:
-        """Draw an episode: its tempo, which foot is lifted first, the sways' order and every extent.
+        """Draw an episode: its tempo, the foot that is lifted first, the order of the sways, and all extents.
 
-        ``amplitude`` is the least and largest share of a path, ``tempo`` the same of a factor on all speeds.
+        ``amplitude`` is the range of the extents, ``tempo`` that of a factor on all speeds.
         """
         unit = self._unit / rng.uniform(*tempo)
         first = int(rng.integers(2))
@@ -216,7 +217,7 @@ class Motion:
         def on_one_leg(foot: int, *turns: str) -> None:
             moves.extend(one_leg(foot, {turn: rng.uniform(*amplitude) for turn in turns}))
 
-        # Both feet are lifted first, so that a calibrator sees the offsets before anything else.
+        # Both feet are lifted first, so that a calibrator measures the offsets first.
         on_one_leg(first)
         on_one_leg(1 - first)
         out_and_back(*sways[0])
@@ -229,9 +230,9 @@ class Motion:
         return self._plan_moves(moves, unit)
 
     def prelude(self, names: Sequence[str], dt: float) -> Prelude:
-        """Plan motions by name (:func:`~surefoot.envs.exercise.moves.motions_of`), a row each ``dt`` s.
+        """Plan motions by name (:func:`~surefoot.envs.exercise.moves.motions_of`), one row every ``dt`` s.
 
-        ValueError if there is no such motion, or it goes farther than the legs reach.
+        ValueError if a motion does not exist, or goes farther than the legs reach.
         """
         moves = [move for name in names for move in motions_of(name)]
         for move in moves:
@@ -254,7 +255,7 @@ class Motion:
         return Prelude.of_commands(dt, motors, [self.command(float(time), schedule) for time in times], rest)
 
     def _plan_moves(self, moves: list[Move], unit: float) -> Schedule:
-        """Plan moves one after another, of which a sway takes ``unit`` s."""
+        """Schedule moves one after another; ``unit`` is the duration of a sway in s."""
         length = unit * np.array([move.time for move in moves])
         end = np.cumsum(length)
         return Schedule(
@@ -267,7 +268,7 @@ class Motion:
         )
 
     def command(self, time: Any, plan: Schedule) -> Command:
-        """Return a plan's command at a time in s after the episode start; of many robots at (N,) times."""
+        """Return the command of a plan at a time in s since the start, or at times (N,) of many robots."""
         table = self._table
         cycle = np.remainder(time, plan.total)
         k = (plan.end <= cycle[..., None]).sum(axis=-1)

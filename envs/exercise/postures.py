@@ -1,9 +1,9 @@
-r"""Postures of an exercise, and the motors' targets that hold them.
+r"""Postures of an exercise by inverse kinematics, and the targets of the motors that hold them.
 
-A motor with stiffness k gives way by u / k under the torque u that it has to exert, so that its target leads
-by as much. The torques follow from the equations of motion of the floating robot,
+A motor with stiffness k deflects by u / k under the torque u, so that its target must lead by the same angle.
+The torques follow from the equations of motion of the floating robot,
 :math:`M \ddot q + c = B^T u + J_c^T \lambda + \sum_i \alpha_i J_i^T w`: each sole i bears the share
-:math:`\alpha_i` of one wrench w, which the six rows of the floating torso determine; the others determine u.
+:math:`\alpha_i` of one wrench w. The six rows of the floating torso determine w, and the other rows u.
 """
 
 from typing import Any, Final
@@ -16,17 +16,17 @@ from surefoot.arrays import Floats
 from surefoot.envs.exercise.robot import ExerciseRobot, motor_moments
 from surefoot.envs.instrumentation.feet import standing_pose
 
-TOLERANCE: Final = 1e-5  # largest error left in m and rad
-ITERATIONS: Final = 40  # Newton steps before a posture counts as out of reach; a few suffice
-PITCH_AXIS: Final = 0.8  # least share of the robot's left in the axis of a joint that pitches
+TOLERANCE: Final = 1e-5  # maximum error of a solution in m and rad
+ITERATIONS: Final = 40  # Newton steps before a posture counts as out of reach; solutions need a few
+PITCH_AXIS: Final = 0.8  # minimum lateral component of the axis of a pitch joint
 
 
 class UnreachableError(ValueError):
-    """A posture that the legs cannot take."""
+    """A posture that the legs cannot reach."""
 
 
 class Postures:
-    """Level soles where the robot stands, an upright torso and a centre of mass in a given place.
+    """Postures with level soles, an upright torso and a given centre of mass.
 
     ``bend`` is added in rad to the knees of legs that pitch in hip, knee and ankle; ``inward`` is how far
     inside the middle of its sole the robot stands on one leg, in half widths of the sole. UnreachableError if
@@ -79,9 +79,9 @@ class Postures:
         self.qpos = self.solve(self.com, np.zeros(2), bent)
 
     def solve(self, com: Floats, lift: Floats, start: Floats) -> Floats:
-        """Find a posture, (nq,), from another: centre of mass, (3,), and heights of the soles, (2,), in m.
+        """Find a posture (nq,) near another one, for a centre of mass (3,) and sole heights (2,) in m.
 
-        UnreachableError if it is out of the legs' reach or limits.
+        UnreachableError if it is beyond the legs' reach or limits.
         """
         configuration = self._configuration
         configuration.update(start)
@@ -93,7 +93,7 @@ class Postures:
         tasks = [*self._soles, self._com, self._upright]
         for _ in range(ITERATIONS):
             errors = [task.compute_error(configuration) for task in tasks]
-            # The upright task leaves place and heading alone.
+            # The upright task does not constrain position and heading.
             errors[-1] = errors[-1][3:5]
             error = max(float(np.abs(part).max()) for part in errors)
             if error < TOLERANCE:
@@ -115,9 +115,9 @@ class Postures:
         )
 
     def shares(self, cop: Floats, lift: Floats) -> Floats:
-        """Share the load between the soles, (..., 2), so that it acts at a centre of pressure in m, (..., 2).
+        """Return shares of the load on the soles, (..., 2), for a centre of pressure in m, (..., 2).
 
-        Who is lifted, by heights of the soles in m, (..., 2), bears nothing.
+        A sole whose height in m, (..., 2), is positive bears no load.
         """
         left, right = self.stand
         off, apart = cop - right, left - right
@@ -165,10 +165,10 @@ class Postures:
         return data.actuator_length + lead[:, 0], lead[:, 1] + braked, lead[:, 2]
 
     def _bent(self, data: mujoco.MjData, bend: float) -> tuple[Floats, float]:
-        """Return a stand with flexed knees, and the height of its centre of mass over the soles."""
+        """Return a posture with flexed knees, and the height of its centre of mass above the soles."""
         model, bent = self.robot.model, self._data
         bent.qpos[:] = data.qpos
-        # A keyframe that is rounded past a limit would leave no step within the limits.
+        # A keyframe that is rounded past a joint limit would make the limits infeasible.
         hinges = np.flatnonzero((model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) & (model.jnt_limited == 1))
         places = model.jnt_qposadr[hinges]
         bent.qpos[places] = np.clip(bent.qpos[places], *model.jnt_range[hinges].T)

@@ -1,4 +1,4 @@
-"""A biped with flat feet that is to exercise: its sensors, its legs, and motors strong enough to stand on."""
+"""Prepare a biped with flat feet for exercises: sensors, legs, and gains to stand on one foot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from surefoot.envs.instrumentation.spec import Instrumentation, instrument
 from surefoot.envs.robots.library import ROBOTS, load_robot_spec, read_robot_spec
 
 STANDING_STIFFNESS: Final = 2.0
-"""Least stiffness of a leg's motor in multiples of m g h, the stiffness with which gravity tips a robot of
-mass m over whose centre of mass is h high: an ankle needs more than 1 to stand on alone."""
+"""Minimum stiffness of a leg motor in multiples of m g h, the negative stiffness of gravity for a robot of
+mass m with its centre of mass at height h. One ankle must exceed 1 to stand on one foot; 2 is chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +26,13 @@ class ExerciseRobot:
 
     instrumentation: Instrumentation  # its sensors
     model: mujoco.MjModel
-    """The compiled ``instrumentation.spec``, with the gains of the legs raised where necessary."""
-    torso: int  # number of the body that floats
-    soles: tuple[int, ...]  # numbers of the sites of both soles, the left one first
-    legs: tuple[NDArray[np.intp], ...]  # numbers of each leg's hinge joints, from the hip down
-    leg_motors: NDArray[np.intp]  # numbers of the L actuators that move them, in model order
+    """The compiled ``instrumentation.spec``, with raised gains of the legs if necessary."""
+    torso: int  # index of the floating body
+    soles: tuple[int, ...]  # indices of the sites of both soles, the left one first
+    legs: tuple[NDArray[np.intp], ...]  # indices of each leg's hinge joints, from the hip down
+    leg_motors: NDArray[np.intp]  # indices of the L actuators that move them, in model order
     centre: Floats  # middles of the largest rectangles on the soles, in the sole frames in m, shape (2, 2)
-    half: Floats  # half their lengths and widths in m, the less of both feet, shape (2,)
+    half: Floats  # half the length and width in m, the minimum of both feet, shape (2,)
 
     @property
     def gravity(self) -> float:
@@ -46,11 +46,11 @@ class ExerciseRobot:
 
 
 def prepare_robot(robot: Any, feet: Sequence[str] | None = None, *, boxes: bool = False) -> ExerciseRobot:
-    """Put sensors into a biped and make it strong enough to stand on one leg.
+    """Add sensors to a biped and raise its gains so that it can stand on one leg.
 
     The robot is a name that :func:`~surefoot.envs.load_robot_spec` knows, the path of an MJCF file with robot
-    and floor, or such a ``mujoco.MjSpec``, which is not changed; ``feet`` are names of bodies, the left one
-    first, or guessed. With ``boxes`` meshes that are only seen become boxes, which take less memory.
+    and floor, or such a ``mujoco.MjSpec``, which is not changed. ``feet`` are names of bodies, the left one
+    first, or ``None`` to find them. With ``boxes`` purely visual meshes become boxes, which need less memory.
 
     ModuleNotFoundError if a named robot's package is missing, TypeError for other types, ValueError if there
     is no such robot or file, it has not two flat feet, it does not float on one free joint, or a joint of a
@@ -96,7 +96,7 @@ def prepare_robot(robot: Any, feet: Sequence[str] | None = None, *, boxes: bool 
 
 
 def motor_moments(model: mujoco.MjModel, data: mujoco.MjData) -> Floats:
-    """Return by how much each actuator acts on each degree of freedom, shape (M, nv)."""
+    """Return the moment arm of each actuator about each degree of freedom, shape (M, nv)."""
     moments = np.zeros((model.nu, model.nv))
     if model.nu:
         mujoco.mju_sparse2dense(
@@ -160,7 +160,7 @@ def _motors(model: mujoco.MjModel, joints: NDArray[np.intp]) -> NDArray[np.intp]
 
 
 def _strengthen(model: mujoco.MjModel, motors: NDArray[np.intp], torso: int, soles: tuple[int, ...]) -> None:
-    """Raise gains that are too low, and the damping with their root, which keeps the damping ratio."""
+    """Raise gains that are too low, and damping with their square root, which keeps the damping ratio."""
     data = standing_pose(model)
     weight = float(model.body_subtreemass[torso] * np.linalg.norm(model.opt.gravity))
     height = float(data.subtree_com[torso][2] - data.site_xpos[list(soles), 2].mean())
