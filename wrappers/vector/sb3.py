@@ -1,8 +1,8 @@
-"""Sensors and calibrators for many robots in Stable-Baselines3, which has vector environments of its own.
+"""Sensors and calibrators for the vector environments of Stable-Baselines3.
 
-Needs the extra ``surefoot[rl]``. Readings are treated in :mod:`surefoot.wrappers.vector.sensors`
-and :mod:`surefoot.wrappers.vector.calibration`; here is only how SB3 gathers robots: it resets one in the
-step in which its episode ends, and hands the last observation over as ``infos[i]["terminal_observation"]``.
+Needs the extra ``surefoot[rl]``. Readings are processed in :mod:`surefoot.wrappers.vector.sensors` and
+:mod:`surefoot.wrappers.vector.calibration`. This module adapts them to SB3, which resets a robot in the step
+in which its episode ends, and returns the last observation in ``infos[i]["terminal_observation"]``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,14 +28,14 @@ except ModuleNotFoundError as missing:
 
 
 class VecFootSensors(BatchSensorsFace, VecEnvWrapper):
-    """Read the robots of an SB3 ``VecEnv`` as :class:`VectorFootSensors` reads those of Gymnasium's.
+    """The wrapper :class:`VectorFootSensors` for a ``VecEnv`` of Stable-Baselines3.
 
     Each copy needs a :class:`~surefoot.wrappers.vector.truth_row.TruthRow` around it.
 
     Args:
         venv: A vector environment of SB3.
-        config: As of :class:`~surefoot.wrappers.vector.foot_sensors.VectorFootSensors`, like all others.
-        measure_state: Whether encoders and IMU take the place of the parts that a ``state_layout`` names.
+        config: As for :class:`~surefoot.wrappers.vector.foot_sensors.VectorFootSensors`.
+        measure_state: Whether encoders and IMU replace the parts that a ``state_layout`` names.
         options: Fields of :class:`~surefoot.wrappers.FootEquipment`.
 
     Attributes:
@@ -43,8 +43,8 @@ class VecFootSensors(BatchSensorsFace, VecEnvWrapper):
         seeds: The seed of each robot at the last reset; ``None`` without a seed.
 
     Raises:
-        TypeError: If it is no ``VecEnv``, or copies have no row of truth, or show readings already.
-        ValueError: If copies differ, a preset is unknown, a value is refused, or the sensors do not fit.
+        TypeError: If it is not a ``VecEnv``, or copies have no row of truth, or already have sensors.
+        ValueError: If copies differ, a preset is unknown, a value is out of range, or the sensors do not fit.
     """
 
     def __init__(
@@ -77,12 +77,12 @@ class VecFootSensors(BatchSensorsFace, VecEnvWrapper):
         """Set the options of the next reset.
 
         Args:
-            options: Of all robots, or of each. ``options["surefoot"]`` is as of
-                :meth:`VectorFootSensors.reset` and the same for all; the rest is handed to the environments.
+            options: For all robots, or one per robot. ``options["surefoot"]`` is as for
+                :meth:`VectorFootSensors.reset`, and the same for all. Other options are passed on.
 
         Raises:
-            ValueError: If a choice does not exist, robots are to differ in it, or options are of more or
-                fewer robots.
+            ValueError: If a choice does not exist or differs between robots, or there are more or fewer
+                options than robots.
         """
         each = options if isinstance(options, list) else [options] * self.num_envs
         if len(each) != self.num_envs:
@@ -95,7 +95,7 @@ class VecFootSensors(BatchSensorsFace, VecEnvWrapper):
 
     def reset(self) -> dict[str, Any]:
         """Reset all robots."""
-        # Kept where robots are gathered until a reset: they may have been seeded before they had sensors.
+        # Stored in the base environment until a reset: it may have been seeded before it had sensors.
         self.seeds, asked, self._asked = list(self.venv.unwrapped._seeds), self._asked, {}
         observations: Any = self.venv.reset()
         self.sensors.reset(observations[TRUTH_KEY], None, self.seeds, asked)
@@ -105,7 +105,7 @@ class VecFootSensors(BatchSensorsFace, VecEnvWrapper):
         """Finish a step and read the sensors."""
         given: Any
         given, rewards, dones, infos = self.venv.step_wait()
-        rows, infos = given[TRUTH_KEY], list(infos)  # SubprocVecEnv hands a tuple over
+        rows, infos = given[TRUTH_KEY], list(infos)  # SubprocVecEnv returns a tuple
         finals = {robot: infos[robot]["terminal_observation"] for robot in np.flatnonzero(dones).tolist()}
         fell = dones & ~np.array([info.get("TimeLimit.truncated", False) for info in infos])
         self.sensors.step(merge_rows(rows, finals), fell=fell)
@@ -117,7 +117,7 @@ class VecFootSensors(BatchSensorsFace, VecEnvWrapper):
 
     @property
     def truth(self) -> dict[str, NDArray[Any]]:
-        """The truth at the end of the last step, to score against."""
+        """The truth at the end of the last step, for scoring."""
         return self.sensors.truth
 
 
@@ -126,15 +126,15 @@ class VecSelfCalibration(BatchCalibrationFace, VecEnvWrapper):
 
     Args:
         venv: :class:`VecFootSensors` around a vector environment.
-        method: As of :class:`~surefoot.wrappers.vector.self_calibration.VectorSelfCalibration`, like all.
+        method: As for :class:`~surefoot.wrappers.vector.self_calibration.VectorSelfCalibration`.
         options: ``initial``, ``show`` and so on, and options of the method.
 
     Attributes:
         calibration: The calibration of all robots.
 
     Raises:
-        TypeError: If it is not right around :class:`VecFootSensors`.
-        ValueError: If the method or an option does not exist, or a value has no meaning.
+        TypeError: If it does not wrap :class:`VecFootSensors` directly.
+        ValueError: If the method or an option does not exist, or a value is out of range.
     """
 
     venv: VecFootSensors
@@ -151,7 +151,7 @@ class VecSelfCalibration(BatchCalibrationFace, VecEnvWrapper):
         super().__init__(venv, observation_space=shown)
 
     def reset(self) -> dict[str, Any]:
-        """Reset all robots; calibration starts fresh if they were seeded."""
+        """Reset all robots. Calibration starts again if they were seeded."""
         observations: Any = self.venv.reset()
         return self.calibration.around(observations, self.calibration.shown)
 

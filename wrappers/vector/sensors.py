@@ -1,4 +1,4 @@
-"""The sensors of N robots, each as it would be alone, whatever gathers the robots."""
+"""The sensors of N robots, independent of the kind of vector environment."""
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -27,10 +27,10 @@ Rows = Floats | Lent
 Mask = NDArray[np.bool_]
 
 Seeds = int | Sequence[int | None] | None
-"""One number for all robots, or one or none a robot."""
+"""One number for all robots, or a number or ``None`` per robot."""
 
 Attribute = Callable[[str], Sequence[Any]]
-"""Asks each copy for an attribute."""
+"""Returns an attribute of each copy."""
 
 _PLANNED = (NO_PLAN, 0.0, 1.0)
 _CHANGED = (
@@ -40,42 +40,42 @@ _CHANGED = (
 
 
 class Planned(NamedTuple):
-    """A robot's feet planned to stand and to swing, (F,) each, as :class:`~surefoot.envs.Command` has."""
+    """Planned stance and swing of a robot's feet, (F,) each, as in :class:`~surefoot.envs.Command`."""
 
     stance: Mask
     swing: Mask
 
 
 class Listener(Protocol):
-    """Who takes in the sensors' readings, at the moment of the reading."""
+    """An object that processes the readings when they are taken."""
 
     def step(self, starting: Mask | None, fell: Mask | None) -> None:
-        """Take in a step, in which some robots were reset instead and some have fallen, shape (N,) each."""
+        """Process a step, with masks of robots that were reset instead and that have fallen, (N,) each."""
 
     def begin(self, mask: Mask, seeds: Sequence[int | None], choice: str | None) -> None:
-        """Take in robots that were reset, shape (N,), with their seeds and the choice."""
+        """Process the robots of a mask that were reset, shape (N,), with their seeds and the choice."""
 
 
 class BatchSensors(OfOneVersion):
-    """Feels N robots through load cells or ankle sensors, joint encoders and IMUs.
+    """Read N robots through load cells or ankle sensors, joint encoders and IMUs.
 
-    The owner is the wrapper that asks, for messages; ``space`` is the observation space of one copy, and
-    ``given`` the sensors that the user put on each.
+    ``owner`` is the name of the wrapper, for messages, ``space`` the observation space of one copy, and
+    ``given`` the sensors that the user chose. Each robot has the readings that it would have alone.
 
     Attributes:
         drawing: The robot.
-        equipment: The equipment of each.
-        robots: The sensors of each.
-        view: Their view.
-        plans: Feet planned to stand, then to swing, shape (N, 2 F); ``None`` where nobody plans.
-        listeners: Who takes in their readings.
-        threads: How many threads sensors and calibrators may use, all cores by default.
+        equipment: The sensors of this type of robot.
+        robots: The sensors of each robot.
+        view: The common view.
+        plans: Planned stance, then swing, of the feet, shape (N, 2 F); ``None`` without a plan.
+        listeners: Objects that process the readings.
+        threads: Number of threads for sensors and calibrators, by default all cores.
         time: The hosts' times since their resets in s, shape (N,).
-        together: The library's reader of all robots; ``None`` where Python reads any of them.
+        together: The library's reader of all robots; ``None`` if any robot is read in Python.
 
     Raises:
-        TypeError: If copies have no row of truth, or show readings already.
-        ValueError: If copies differ, a preset is unknown, a value is refused, or the sensors do not fit.
+        TypeError: If copies have no row of truth, or already have sensors.
+        ValueError: If copies differ, a preset is unknown, a value is out of range, or the sensors do not fit.
     """
 
     def __init__(
@@ -113,21 +113,21 @@ class BatchSensors(OfOneVersion):
         self._put_side_by_side()
 
     def listen(self, listener: Listener) -> None:
-        """Send telemetry from the next reset on, and tell of every step and reset."""
+        """Send telemetry from the next reset on, and notify a listener of every step and reset."""
         self.listeners.append(listener)
         for robot in self.robots:
             robot.listening = True
 
     def reset(self, rows: Rows, mask: Mask | None, seed: Seeds, asked: Mapping[str, str]) -> None:
-        """Read robots that were reset, those of a mask, shape (N,), or all, with rows of truth, shape (N, R).
+        """Read robots that were reset, those of a mask (N,) or all, with rows of truth, shape (N, R).
 
-        ``asked`` is ``"fresh"`` or ``"keep"`` by kind, if it was asked for.
+        ``asked`` holds ``"fresh"`` or ``"keep"`` by kind, if the caller chose it.
         """
         count = len(self.robots)
         mask = np.ones(count, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
         each = list(seed) if isinstance(seed, Sequence) else [seed] * count
         if not isinstance(seed, Sequence) and seed is not None:
-            each = [seed + robot for robot in range(count)]  # one number counts up, as Gymnasium has it
+            each = [seed + robot for robot in range(count)]  # as in Gymnasium
         self._key = self._attribute("row_key")[0]
         self._mean_truth = MeanTruth(self._key)
         self.begin(rows, mask, each, asked)
@@ -135,7 +135,7 @@ class BatchSensors(OfOneVersion):
     def step(self, rows: Rows, starting: Mask | None = None, fell: Mask | None = None) -> None:
         """Read all robots after a control step, with one row of truth each, shape (N, R).
 
-        Some were reset instead of stepped, and of some the episode was terminated, shape (N,) each.
+        ``starting`` and ``fell`` are masks of robots that were reset instead and that terminated, (N,) each.
         """
         substeps, dt = self._look(rows), self._meaning.dt
         begins = np.zeros(len(substeps), dtype=bool) if starting is None else np.asarray(starting)
@@ -160,9 +160,9 @@ class BatchSensors(OfOneVersion):
         seeds: Sequence[int | None] | None = None,
         asked: Mapping[str, str] | None = None,
     ) -> None:
-        """Read robots of a mask that start an episode; within a step, after :meth:`step`.
+        """Read robots of a mask that start an episode; within a step it follows :meth:`step`.
 
-        Arguments are those of :meth:`reset`; rows of these robots are of the new episode.
+        Arguments are those of :meth:`reset`. Rows of these robots belong to the new episode.
         """
         substeps, asked = self._look(rows), asked or {}
         if not isinstance(rows, Lent) and not np.isin(rows[:, -2 * self._meaning.feet :], _PLANNED).all():
@@ -178,11 +178,11 @@ class BatchSensors(OfOneVersion):
             listener.begin(mask, seeds, asked.get("calibration"))
 
     def show(self, observations: Mapping[str, Any]) -> dict[str, Any]:
-        """Show the hosts' present data; arrays of the environment are not changed."""
+        """Return the observations with the hosts' present data, without changing the environment's arrays."""
         return self.view.show(observations, self._held, self._newest)
 
     def show_one(self, observation: Mapping[str, Any], robot: int) -> dict[str, Any]:
-        """Show one host's present data."""
+        """Return the observation of one robot with its host's present data."""
         own = self.robots[robot]
         return self.view.show(observation, own.held, own.newest)
 
@@ -192,11 +192,11 @@ class BatchSensors(OfOneVersion):
         return self._mean_truth(self._substeps, self.threads) | self.true_conditions()
 
     def true_conditions(self) -> dict[str, NDArray[Any]]:
-        """Return the robots' drawn conditions, (N, ...); nothing where these do not differ."""
+        """Return the robots' drawn conditions, (N, ...); empty if they do not differ."""
         return {name: part.copy() for name, part in self._drawn.items()}
 
     def _robots_of(self, robots: Sequence[int] | None) -> list[RobotSensors]:
-        """Return robots by their numbers."""
+        """Return robots by index."""
         count = len(self.robots)
         given = np.arange(count) if robots is None else np.asarray(robots).ravel()
         if given.size and not np.issubdtype(given.dtype, np.integer):
@@ -210,15 +210,16 @@ class BatchSensors(OfOneVersion):
         return [self.robots[number] for number in numbers]
 
     def _note_conditions(self) -> None:
-        """Keep the robots' drawn conditions, shape (N, ...); nothing where they do not differ."""
+        """Store the robots' drawn conditions, shape (N, ...); nothing if they do not differ."""
         differ = any(robot.differs for robot in self.robots)
         drawn = [robot.true_condition() for robot in self.robots] if differ else [{}]
         self._drawn = {name: np.array([one[name] for one in drawn]) for name in drawn[0]}
 
     def _read_together(self, truth: Floats, steps: Mask) -> Mask:
-        """Let the library read a control step of all robots that made one and for whom it can, in one call.
+        """Read a control step of all robots of a mask in one call of the library, if possible.
 
-        Truth is the simulator's readings in each substep, shape (N, S, columns). Return who is left to read.
+        ``truth`` holds sensor data of each substep, shape (N, S, columns). Returns a mask of the robots that
+        remain to be read.
         """
         together, left = self.together, np.ones(len(steps), dtype=bool)
         if together is not None and len(steps) > 1:
@@ -229,7 +230,7 @@ class BatchSensors(OfOneVersion):
         return left
 
     def _gather(self, alone: Sequence[int] = ()) -> None:
-        """Gather the library's readers of all robots, after some were read alone or have others."""
+        """Collect the library's readers of all robots, after some were read alone or have new ones."""
         readers = [robot.backend for robot in self.robots]
         if self.together is None or self.together.robots != readers:
             native = [one for one in readers if isinstance(one, NativeSensing)]
@@ -238,7 +239,7 @@ class BatchSensors(OfOneVersion):
             self.together.count_packets(alone)
 
     def _put_side_by_side(self) -> None:
-        """Keep what hosts have of their sensors in arrays with the robots in front."""
+        """Store the hosts' readings in arrays with the robots as first axis."""
         count, first = len(self.robots), self.robots[0]
         self._held = np.zeros((count, *first.held.shape), first.held.dtype)
         self._newest, self.time = np.zeros((count, *first.newest.shape)), np.zeros(count)
@@ -246,18 +247,18 @@ class BatchSensors(OfOneVersion):
             robot.keep_in(self._held[i], self._newest[i], self.time[i : i + 1])
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        # Rows of copied arrays are arrays of their own.
+        # After copying, rows no longer share memory with these arrays.
         super().__setstate__(kept)
         self._put_side_by_side()
 
     def _look(self, rows: Rows) -> Floats:
-        """Keep each robot's plan, and return the simulator's readings in each substep, (N, S, columns)."""
+        """Store each robot's plan, and return the sensor data of each substep, (N, S, columns)."""
         self._substeps, plans = self._meaning.read(rows)
         self.plans = None if (plans[:, 0] == NO_PLAN).all() else plans > 0.0
         return self._substeps
 
     def plan_of(self, robot: int) -> Planned | None:
-        """Return the plan of a robot; ``None`` where nobody plans."""
+        """Return the plan of a robot, or ``None`` without a plan."""
         if self.plans is None:
             return None
         return Planned(*np.split(self.plans[robot], 2))
@@ -269,16 +270,16 @@ class BatchSensorsFace(SensorsFace):
     sensors: BatchSensors  # the sensors of all robots
 
     def set_severity(self, severity: Any, robots: Sequence[int] | None = None) -> None:
-        """Let the next fresh sensors of some robots be of another severity.
+        """Set the severity of the next fresh sensors of some robots.
 
         Args:
-            severity: A number or a tuple (lowest, highest) for all of them; or a list or an array of such,
-                one a robot.
-            robots: Their numbers; ``None`` for all.
+            severity: A number or a tuple (lowest, highest) for all of them, or a list or an array with one
+                per robot.
+            robots: Their indices; ``None`` for all.
 
         Raises:
-            IndexError: If there is no such robot.
-            ValueError: If there are more or fewer values than robots, or a device cannot be so bad.
+            IndexError: If a robot does not exist.
+            ValueError: If there are more or fewer values than robots, or a device does not allow one.
         """
         named, set_one = self.sensors._robots_of(robots), self.sensors.equipment.with_severity
         values = severity_of_each(severity, len(named))
@@ -287,14 +288,14 @@ class BatchSensorsFace(SensorsFace):
             robot.conditions = conditions
 
     def set_faults(self, faults: Faults, robots: Sequence[int] | None = None) -> None:
-        """Let other things break on some robots, or with other probabilities, from their next resets on.
+        """Set the faults of some robots, or their probabilities, from their next resets on.
 
         Args:
-            faults: As of :class:`~surefoot.wrappers.FootSensors`, for each of them.
-            robots: Their numbers; ``None`` for all.
+            faults: As for :class:`~surefoot.wrappers.FootSensors`, for each of them.
+            robots: Their indices; ``None`` for all.
 
         Raises:
-            IndexError: If there is no such robot.
+            IndexError: If a robot does not exist.
             ValueError: If a fault or a probability is refused.
         """
         sensors = self.sensors
@@ -304,7 +305,7 @@ class BatchSensorsFace(SensorsFace):
             robot.conditions = conditions
 
     def true_parameters(self) -> Parameters:
-        """Return the maps that undo the feet's errors now, shape (N, K): truth, to score against."""
+        """Return the maps that correct the feet's present errors, shape (N, K): truth, for scoring."""
         maps = [robot.true_parameters() for robot in self.sensors.robots]
         return Parameters(*map(np.array, zip(*maps, strict=True)))
 
@@ -317,7 +318,7 @@ class BatchSensorsFace(SensorsFace):
 
 
 def merge_rows(rows: Any, finals: Mapping[int, Mapping[str, Any]]) -> Any:
-    """Return a copy with rows of some robots' last moments, by their numbers, in place of their first."""
+    """Return a copy in which the rows of some robots, by index, are the last ones of their episodes."""
     if not finals:
         return rows
     if isinstance(rows, Lent):
