@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Floats
 from surefoot.calibration.backend import FilterBackend, LibraryFilter, PythonFilter
 from surefoot.calibration.estimate import Estimate
-from surefoot.calibration.front_end.ages import aligned_lag, mean_age
+from surefoot.calibration.front_end.ages import alignment_lag, mean_age
 from surefoot.calibration.front_end.readings import LONGEST_GAP, FrontState
 from surefoot.calibration.layout import FeetLayout
 from surefoot.calibration.native import NativeFilter, ReferenceRecord, native_filter
@@ -190,7 +190,7 @@ class FootCalibrator(OfOneVersion):
     @property
     def aligned_lag(self) -> int:
         """How many samples ago the common moment of the aligned values of an estimate was."""
-        return aligned_lag(self.setup)
+        return alignment_lag(self.setup)
 
     @property
     def library(self) -> Library | None:

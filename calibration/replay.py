@@ -56,8 +56,7 @@ def replay(
             returned are those of the unfiltered readings.
         watch: Iterates over the sample numbers, for example to show progress.
         options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
-            method. An ``age`` of shape (N, K) holds the age of each reading in s, of a device that reports
-            when it converted.
+            method. An ``age`` in s of shape (N, K) is that of each reading, where a device reports it.
 
     Returns:
         The estimates of all samples, with N rows in each field.
@@ -75,8 +74,8 @@ def replay(
         if "cutoff" in getattr(method_entry(name).config, "__dataclass_fields__", {}):
             options["cutoff"] = None
     ages = np.asarray(options.get("age", 0.0), dtype=np.float64)
-    if each := ages.shape == readings.shape and ages.ndim == 2:
-        options["age"] = np.maximum(np.nanmean(ages, axis=0), 0.0)
+    if each := ages.shape == readings.shape:
+        options["age"] = np.nanmean(ages, axis=0)
     calibrator = FootCalibrator(layout, name, mass=mass, initial=initial, dt=nominal, lag=lag, **options)
     front_end = FrontEnd(calibrator.setup)
     learnt_from, learnt_with = readings, log

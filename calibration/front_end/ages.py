@@ -48,7 +48,7 @@ def extrapolation_time(setup: OnlineSetup) -> Floats:
     return np.minimum(mean_age(setup), _LONGEST * setup.dt)
 
 
-def aligned_lag(setup: OnlineSetup) -> int:
+def alignment_lag(setup: OnlineSetup) -> int:
     """Return how many samples ago the moment of aligned forces was.
 
     It is the least number for which readings on both sides of that moment have usually arrived: readings of a

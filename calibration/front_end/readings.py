@@ -9,7 +9,7 @@
   long before they are compared. The map that is learnt applies to the newest reading.
 * **Age.** Readings are interpolated to one moment, and extrapolated to now for the centre of pressure of all
   feet together (:mod:`surefoot.calibration.front_end.ages`).
-* **Repeats.** A sample whose readings all equal those before it was not taken anew. It counts as one that did
+* **Repeats.** A sample whose readings all equal those before it is a repeat. It counts as one that did
   not arrive, but for a flag, until the readings have been constant for :data:`LONGEST_SILENCE`.
 * **Silence.** The load may have changed since a held reading. After :data:`LONGEST_SILENCE` without a reading
   of a channel its foot has no centre of pressure, and neither have all feet together.
@@ -25,7 +25,7 @@ from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Estimate, Flag
 from surefoot.calibration.front_end.ages import (
     SLOPE_SAMPLES,
-    aligned_lag,
+    alignment_lag,
     change_since_reading,
     extrapolation_time,
     force_at,
@@ -135,7 +135,7 @@ class FrontEnd:
         self.longest_silence = max(LONGEST_SILENCE, LONGEST_GAP * setup.dt)
         feet = np.arange(len(setup.layout.feet))[:, None]
         self._of_foot = setup.layout.foot_of_channel == feet
-        self.age, self.aligned_lag = mean_age(setup), aligned_lag(setup)
+        self.age, self.aligned_lag = mean_age(setup), alignment_lag(setup)
         self.carried = extrapolation_time(setup) if extrapolates else np.zeros(self._channels)
         self._aged = bool(self.carried.any())
         self.kept = max(setup.lag, SLOPE_SAMPLES * self._aged, self.aligned_lag + 1)

@@ -102,9 +102,9 @@ class PythonSensing:
 
     def ages(self) -> Floats | None:
         """Return the age of each reading in s, shape (K,); ``None`` if it is not known."""
-        cells = self.state.instruments.cells
+        cells = self.state.cells
         times = {"period": cells.period, "due": cells.due} if cells else {}
-        return self.fitted.instruments.reading_ages(times)
+        return self.instruments.reading_ages(times)
 
     def packets(self) -> Packets:
         """Return telemetry that arrived during the last step, in order."""
