@@ -1,6 +1,6 @@
 """Checks of single arguments. Each error names the argument, the rule and the value that was given."""
 
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -48,6 +48,6 @@ def check_kind(name: str, value: Any, kind: type) -> None:
         )
 
 
-def is_whole(value: Any) -> bool:
+def is_whole(value: object) -> TypeGuard[int]:
     """Return whether a value is a whole number of Python or NumPy; booleans are not."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)

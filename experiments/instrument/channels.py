@@ -1,7 +1,9 @@
 """Facts of the channels of a recording, and their flaws with the time at which they begin."""
 
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -27,10 +29,9 @@ from surefoot.experiments.instrument.noise import (
 from surefoot.experiments.instrument.recording import Recording
 from surefoot.experiments.logs.checks import SPLIT, TWO_SESSIONS
 from surefoot.experiments.logs.clock import EPOCH, LOST_ROWS, SLOWEST, find_gaps, unit_of_times
-from surefoot.experiments.study.page import Words
 from surefoot.experiments.study.tables import plural, sentence
 
-_settle = Words("instrument", "settle")
+_settle = tomllib.loads(files(__package__).joinpath("settle.toml").read_text(encoding="utf-8"))
 
 STILL = 2.0  # time in s for which a channel may repeat one value while others change
 RAILED, LOST = 0.01, 0.5  # shares of readings at the end of the converter, and missing, that are reported
@@ -210,10 +211,7 @@ def say_time(time: float) -> str:
 
 def settling_motion(kind: str) -> str:
     """Return the shortest motion or reading that shows whether a mistake of this kind was made, or ""."""
-    try:
-        return _settle(kind.replace(" ", "-"))
-    except KeyError:
-        return ""
+    return str(_settle.get(kind.replace(" ", "-"), ""))
 
 
 def _stuck(recording: Recording) -> NDArray[np.intp]:

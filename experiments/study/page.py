@@ -5,19 +5,18 @@ import json
 import shlex
 import sys
 import tempfile
-import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jinja2 import Environment, StrictUndefined
 
 import surefoot
 from surefoot.experiments.study.sources import source_hash
-from surefoot.experiments.study.tables import Frame, Table, Verdict, flat, plural
+from surefoot.experiments.study.tables import Frame, Table, Verdict, plural
 from surefoot.files import atomic_path, write_text
 
 MADE = "made.json"  # beside a study's tables: its command, code and date
@@ -56,18 +55,6 @@ class Section:
     video_caption: str = ""
     figures: tuple[ReportFigure, ...] = ()
     commands: tuple[str, ...] = ()
-
-
-class Words:
-    """The texts of a page, by its name in ``words.toml`` of a room, or in a part of it."""
-
-    def __init__(self, room: str, part: str = "") -> None:
-        text = files(f"surefoot.experiments.{room}").joinpath("words.toml").read_text(encoding="utf-8")
-        self._texts = tomllib.loads(text)[part] if part else tomllib.loads(text)
-
-    def __call__(self, name: str, **values: Any) -> str:
-        """Return a text as one line, with values for names in braces."""
-        return flat(self._texts[name]).format(**values)
 
 
 class Report(NamedTuple):

@@ -220,7 +220,7 @@ class NativeSensing:
     def ages(self) -> Floats | None:
         """Return the age of each reading in s, shape (K,); ``None`` if it is not known."""
         cells = self._states.get("cells")
-        return self._spec.fitted.instruments.reading_ages(None if cells is None else cells.now)
+        return self._spec.instruments.reading_ages(None if cells is None else cells.now)
 
     def packet_rows(self) -> tuple[int, int] | None:
         """Return the address and the number of the rows of packets, valid until the next step."""
