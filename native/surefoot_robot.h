@@ -153,7 +153,7 @@ typedef struct {
 typedef struct {
     sf_real raw[SF_CHANNELS], history[(SF_LAG + 1) * 3 * SF_CHANNELS], motion[SF_MOTION];
     sf_real silent[SF_CHANNELS]; /* time in s since each channel was last read */
-    sf_real constant; /* time in s since any reading last changed */
+    sf_real constant; /* time in s since any reading last changed, and more if it changed by little */
     sf_real late[SF_CHANNELS]; /* by how much the coming readings are older than their mean age in s; 0 if not known */
     sf_whole known, clean;
 } sf_front;
@@ -406,18 +406,19 @@ SF_API void sf_check(const sf_config *c, sf_front *s, const sf_real *raw, const 
     for (int i = 0; i < 3 * c->feet; i++)
         sample->sound = sample->sound && sf_fabs(motion[SF_SOLES + i] - motion[SF_COM + i % 3]) <= SF_FARTHEST;
     sf_real passed = dt > 0 && dt < SF_MOST_SILENCE ? dt : c->dt;
-    sample->repeated = 1;
+    sf_real change = 0;
     for (int i = 0; i < c->channels; i++) {
         sample->read[i] = raw[i] >= c->lowest[i] && raw[i] <= c->highest[i];
-        sample->repeated = sample->repeated && !(sample->read[i] && raw[i] != s->raw[i]);
+        if (sample->read[i]) change = sf_max(change, sf_fabs(c->scale[i] * (raw[i] - s->raw[i])));
         sample->flags[i] = (sample->read[i] ? 0 : raw[i] == raw[i] ? SF_OUT_OF_RANGE : SF_MISSING) |
                            (sample->sound ? 0 : SF_REFERENCE) | (sample->gap ? SF_GAP : 0);
         if (sample->read[i]) s->raw[i] = raw[i], s->silent[i] = 0;
         else s->silent[i] = sf_min(s->silent[i] + passed, SF_MOST_SILENCE);
         sample->force[i] = c->scale[i] * s->raw[i] + c->offset[i];
     }
-    s->constant = sample->repeated ? sf_min(s->constant + passed, SF_MOST_SILENCE) : 0;
-    sample->repeated = sample->repeated && s->constant < c->longest_silence;
+    s->constant = change == 0 ? s->constant + passed : change > SF_MOVING * c->weight ? 0 : c->longest_silence;
+    s->constant = sf_min(s->constant, SF_MOST_SILENCE);
+    sample->repeated = change == 0 && s->constant < c->longest_silence;
     if (sample->sound) sf_copy(s->motion, motion, R);
     s->known = s->known || sample->sound;
 }

@@ -9,8 +9,9 @@
   long before they are compared. The map that is learnt applies to the newest reading.
 * **Age.** Readings are interpolated to one moment, and extrapolated to now for the centre of pressure of all
   feet together (:mod:`surefoot.calibration.front_end.ages`).
-* **Repeats.** A sample whose readings all equal those before it is a repeat. It counts as one that did
-  not arrive, but for a flag, until the readings have been constant for :data:`LONGEST_SILENCE`.
+* **Repeats.** A sample whose readings all equal those before it, which had just changed by more than
+  :data:`MOVING`, is a repeat. It counts as one that did not arrive, but for a flag, until the readings have
+  been constant for :data:`LONGEST_SILENCE`.
 * **Silence.** The load may have changed since a held reading. After :data:`LONGEST_SILENCE` without a reading
   of a channel its foot has no centre of pressure, and neither have all feet together.
 * **Linear rows.** The level wrench of the feet is linear in the channels: (Fz, Fz px, Fz py) = rows @ F.
@@ -42,6 +43,10 @@ LONGEST_SILENCE = 0.25
 support of 0.3 s a foot is loaded or lifted, and a serial bus has gaps of up to 0.125 s. Of slow samples it is
 :data:`LONGEST_GAP` of them."""
 
+MOVING = 0.02
+"""Change of a reading from one sample to the next in body weights after which equal readings are no sign of a
+robot that stands still: more than the noise and the steps of converters."""
+
 MOST_SILENCE = 3600.0  # time in s up to which silence is counted
 
 Repair = Callable[[Array, Array], tuple[Array, Array]]
@@ -59,7 +64,9 @@ class FrontState(NamedTuple):
     known: bool  # whether any reference was good so far
     clean: int  # good samples since the last bad one
     silent: Array  # time in s since each channel was last read, at most an hour, shape (K,)
-    constant: float  # time in s since any reading last changed, at most an hour
+    constant: float
+    """Time in s since any reading last changed, at most an hour, and more by :data:`LONGEST_SILENCE` if it
+    changed by little."""
     late: Array
     """By how much the coming sample's readings are older than their mean age in s, shape (K,): 0 unless the
     device reports when it converted."""
@@ -182,9 +189,11 @@ class FrontEnd:
         read, held, force, sure = self._read(state, raw, repair)
         passed = dt if 0.0 < dt < MOST_SILENCE else self.setup.dt
         silent = np.where(read, 0.0, np.minimum(state.silent + passed, MOST_SILENCE))
-        repeated = bool((held == state.raw).all())
-        constant = min(state.constant + passed, MOST_SILENCE) if repeated else 0.0
-        if repeated and constant < self.longest_silence:
+        change = float(np.abs(self._scale * (held - state.raw)).max())
+        moves = change > MOVING * self.setup.weight
+        constant = state.constant + passed if change == 0.0 else 0.0 if moves else self.longest_silence
+        constant = min(constant, MOST_SILENCE)
+        if change == 0.0 and constant < self.longest_silence:
             sure = np.zeros_like(sure)
         history = np.vstack([state.history[1:], np.concatenate([force, sure, state.late])])
         lag, nominal, zero = self.setup.lag, self.setup.dt, np.zeros(self._channels)

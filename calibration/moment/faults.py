@@ -22,6 +22,7 @@ import numpy as np
 
 from surefoot.calibration.arrays import Array
 from surefoot.calibration.estimate import Flag
+from surefoot.calibration.front_end.readings import MOVING
 from surefoot.calibration.moment.stand_in import StandIn
 from surefoot.calibration.setup import OnlineSetup
 
@@ -47,9 +48,6 @@ _BUMP_MEMORY = 0.993
 """Share of the count of leaps that a sample keeps: it is that of some 140 samples."""
 
 _ONCE = 0.5  # recent count of leaps above which there was one
-
-_MOVING = 0.02
-"""Change of a reading within a block in body weights that shows that the foot's load changes."""
 
 _MOSTLY_MISSING, _ALL_READ = 0.5, 0.99
 """Share of a block's readings below which a channel is silent, and above which it is fully there."""
@@ -234,7 +232,7 @@ class ChannelFaults:
         """
         high, spread = force.max(axis=0), np.ptp(force, axis=0)
         flat = spread == 0.0
-        moving = (spread > _MOVING * self._weight) @ self._same_foot > 0.5
+        moving = (spread > MOVING * self._weight) @ self._same_foot > 0.5
         share = read.mean(axis=0)
         # A reading that was held for leaping is none that is missing.
         missing = (share < _MOSTLY_MISSING) & (share.max() >= _MOSTLY_MISSING) & (state.leapt < _ONCE)

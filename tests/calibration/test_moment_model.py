@@ -71,7 +71,7 @@ def momentum_of(block, layout, point, x, columns):
     shear, (to, origin) = columns.components == 6, find_talks(layout)
     for n in range(len(block.dt)):
         f = (1.0 + m) * (a * block.force[n] + zero)
-        f[to] += x[columns.talk] * block.force[n, origin]
+        np.add.at(f, to, x[columns.talk] * block.force[n, origin])
         P = P + block.dt[n] * np.array([wrench[3], wrench[4], wrench[0] - 1.0])
         H = H + block.dt[n] * np.array([wrench[1], wrench[2], wrench[5]])
         arm = block.com[n] - point - np.append(d, 0.0)
