@@ -11,6 +11,7 @@ from surefoot.extras import names_of
 if TYPE_CHECKING:
     from surefoot.envs.command import Command as Command
     from surefoot.envs.exercise.env import ExerciseEnv as ExerciseEnv
+    from surefoot.envs.g1.lean import LeanEnv as LeanEnv
     from surefoot.envs.gait.pattern import plan_walk as plan_walk
     from surefoot.envs.instrumentation.drawing import RobotDrawing as RobotDrawing
     from surefoot.envs.instrumentation.env import InstrumentedEnv as InstrumentedEnv
@@ -32,6 +33,7 @@ _MODULES = {
     "FeetReader": "surefoot.envs.instrumentation.reader",
     "FeetTruth": "surefoot.envs.instrumentation.truth",
     "InstrumentedEnv": "surefoot.envs.instrumentation.env",
+    "LeanEnv": "surefoot.envs.g1.lean",
     "NaoEnv": "surefoot.envs.nao.env",
     "NaoStandEnv": "surefoot.envs.nao.stand",
     "NaoWalkEnv": "surefoot.envs.nao.walk",

@@ -60,8 +60,9 @@ _CARRY_HARD = _CARRY | {
     "push_impulse": (0.1, 0.6),
 }
 
-ENVIRONMENTS: dict[str, tuple[str, str, dict[str, Any]]] = {
+ENVIRONMENTS: dict[str, tuple[str, str | None, dict[str, Any]]] = {
     "surefoot/Exercise-v0": ("surefoot.envs.exercise.env:ExerciseEnv", "exercise", {}),
+    "surefoot/G1Lean-v0": ("surefoot.envs.g1.lean:LeanEnv", None, {}),
     "surefoot/NaoBalance-v0": (_STAND, "stand", _BALANCE),
     "surefoot/NaoBalanceHard-v0": (_STAND, "stand", _BALANCE_HARD),
     "surefoot/NaoCarry-v0": (_WALK, "walk", _CARRY),
@@ -79,7 +80,7 @@ def register_environments() -> None:
 
     for name, (entry_point, many, options) in ENVIRONMENTS.items():
         if name not in registry:
-            vector = f"surefoot.envs.batch:{many}"
+            vector = many and f"surefoot.envs.batch:{many}"
             register(id=name, entry_point=entry_point, vector_entry_point=vector, kwargs={**options})
 
 

@@ -21,16 +21,20 @@ from surefoot.experiments.cli.console import (
 
 def train(
     out: Annotated[Path, Option(help="Folder; a stopped training continues.")] = Path("out/policy"),
-    task: Annotated[str, Option(help="balance, walk, balance-hard or walk-hard.")] = "balance",
-    sensors: Annotated[str, Option(help="CoP trained on: true, or randomised (drifting).")] = "true",
+    task: Annotated[str, Option(help="balance, walk, balance-hard, walk-hard or lean.")] = "balance",
+    sensors: Annotated[
+        str, Option(help="Feet trained on: true, randomised (drifting); for lean also history, blind.")
+    ] = "true",
     seed: Annotated[int, Option(help="Seed of all random numbers.", min=0, max=999)] = 0,
-    steps: Annotated[int | None, Option(help="Total number of decisions; 160 000 by default.", min=1)] = None,
+    steps: Annotated[
+        int | None, Option(help="Total number of decisions; the task's own by default.", min=1)
+    ] = None,
     restart: Annotated[bool, Option("--restart", help="Start again, even in a used folder.")] = False,
     export: Annotated[Path | None, Option(help="Only convert this Stable-Baselines3 zip.")] = None,
     trusted: Annotated[bool, Option("--trusted", help="Trust the zip, whose code is run.")] = False,
 ) -> None:
-    """Train a policy by PPO, and write it with its learning curve and a card."""
-    from surefoot.experiments.policy.tasks import TrainOptions
+    """Train a policy by PPO, or for lean by imitation, and write it with its learning curve and a card."""
+    from surefoot.experiments.policy.tasks import TrainOptions, find_task
 
     with one_line_errors(out, "the training up to the last checkpoint is kept."):
         try:
@@ -42,9 +46,30 @@ def train(
                 typer.echo(f"Policy: {out / POLICY}")
                 return
             given: dict[str, Any] = {} if steps is None else {"steps": steps}
-            _train(out, TrainOptions(task=task, sensors=sensors, seed=seed, **given), restart)
+            given |= {"task": task, "sensors": sensors, "seed": seed}
+            if find_task(task).imitates:
+                _imitate(out, given)
+            else:
+                _train(out, TrainOptions(**given), restart)
         except ImportError as error:
             fail(f"training needs torch and stable-baselines3 ({error}): pip install 'surefoot[rl]'.")
+
+
+def _imitate(out: Path, options: dict[str, Any]) -> None:
+    from surefoot.experiments.policy.card import write_card
+    from surefoot.experiments.policy.imitate import POLICY, Imitation, imitate
+    from surefoot.experiments.study.progress import bars
+
+    wanted = Imitation(**options)
+    with bars("return {task.fields[reward]:.3f}, fell {task.fields[fell]:.0%}") as bar:
+        nothing: Any = {"reward": float("nan"), "fell": float("nan")}
+        task = bar.add_task("Training", total=wanted.rounds, **nothing)
+
+        def show(done: int, row: dict[str, float]) -> None:
+            bar.update(task, completed=done, reward=row["return"], fell=row["fell"])
+
+        imitate(out, wanted, show)
+    typer.echo(f"Policy: {out / POLICY}\nCard: {write_card(out)}")
 
 
 def _train(out: Path, options: Any, restart: bool) -> None:

@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
+from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.evaluate.feet import FedFeet, put_on
 from surefoot.experiments.evaluate.policies import fingerprint
 from surefoot.experiments.evaluate.scenarios import Scenario, scenario_of
@@ -143,7 +144,8 @@ def observer(setup: Setup, policy: Any, env: FedFeet) -> Observe:
         if isinstance(wanted, spaces.Dict):
             return lambda seen: {key: seen[key] for key in keys}
         return lambda seen: np.concatenate([np.ravel(seen[key]) for key in keys]).astype(np.float32)
-    if isinstance(env.source.observation_space, spaces.Dict):
+    # A policy file of the package names the parts that it looks at itself.
+    if isinstance(env.source.observation_space, spaces.Dict) or isinstance(policy, PolicyNetwork):
         return lambda seen: seen
     return lambda seen: seen["state"]
 

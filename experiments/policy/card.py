@@ -24,6 +24,8 @@ _REWARD, _FALLS = "#0072B2", "#D55E00"  # of a learning curve
 _TRAINED = {
     "true": "the true centre of pressure, joints and tilt from encoders and IMU with their errors",
     "randomised": "drifting, uncalibrated load cells, of severity 0 to 2",
+    "history": "drifting, uncalibrated load cells, of severity 0 to 2, and traces of their past readings",
+    "blind": "no feet",
 }
 """What a policy was trained on, in words."""
 
@@ -53,7 +55,8 @@ def write_card(out: Path) -> Path:
     curve, most = None, task.most * network.hold
     if (out / CURVE).exists():
         curve = pd.read_csv(out / CURVE)
-        draw_curve(curve, out / FIGURE, most)
+        if not task.imitates:
+            draw_curve(curve, out / FIGURE, most)
     sensors = options.get("sensors", "unknown")
     sizes = (sum(network.parts.values()), *(len(layer) for layer in network.biases))
     asked = {"task": task.name} if task.name != next(iter(TASKS)) else {}
@@ -71,7 +74,7 @@ def write_card(out: Path) -> Path:
         training_seeds=TRAINING_SEEDS,
         options=json.dumps(options, sort_keys=True),
         looks=", ".join(f"`{part}` ({size})" for part, size in network.parts.items()),
-        inputs=", ".join(input_names(task)),
+        inputs=", ".join(input_names(task, blind=sensors == "blind")),
         postures=POSTURES,
         curve=curve,
         last=None if curve is None else curve.tail(_LAST_UPDATES),

@@ -13,7 +13,8 @@ from surefoot.calibration.checks import check_counts
 from surefoot.controllers.policy import PolicyNetwork
 
 SENSORS = ("true", "randomised")
-"""What a policy may be trained on: the true centre of pressure, or drifting sensors of every severity."""
+"""Feet of the policies that come with the package: the true centre of pressure, or drifting sensors of every
+severity."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Task:
     memory: float = 1.0  # time constant in s with which a posture returns
     hold: int = 4  # steps for which an action holds: 20 Hz, about as fast as a body can follow
     easier: str = ""  # whose policies are let in too, and serve where none is shipped for this one
+    imitates: bool = False  # whether a policy is linear, acts directly, and imitates the environment's expert
 
 
 _SEEN = {"tilt": 0.1, "gyroscope": 0.5, "cop_reference": 0.03, "com_reference_velocity": 0.05}
@@ -71,8 +73,20 @@ _BALANCE_HARD = replace(
 
 _WALK_HARD = replace(_WALK, name="walk-hard", env_id="surefoot/NaoCarryHard-v0", easier="walk")
 
+_LEAN = Task(
+    "lean",
+    "surefoot/G1Lean-v0",
+    "A leaning policy",
+    MappingProxyType({"offset": 0.03, "offset_speed": 0.1, "com_error": 0.01, "tilt": 0.01}),
+    MappingProxyType({"marches": 0, "reaches": 2, "wait": 2.0}),
+    most=1.0 / 550.0,  # the steps of two reaches
+    limits="standing on both feet on flat ground, loads of the task, and nothing else. It does\n  not step.",
+    hold=5,
+    imitates=True,
+)
+
 TASKS: Mapping[str, Task] = MappingProxyType(
-    {task.name: task for task in (_BALANCE, _WALK, _BALANCE_HARD, _WALK_HARD)}
+    {task.name: task for task in (_BALANCE, _WALK, _BALANCE_HARD, _WALK_HARD, _LEAN)}
 )
 """All tasks by name; the first is the default."""
 
@@ -89,10 +103,13 @@ def task_in(env_id: Any) -> Task | None:
     return next((task for task in TASKS.values() if task.env_id == env_id), None)
 
 
-def policy_file(task: str, sensors: str) -> Traversable:
-    """Return the file of a policy that comes with the package: for the task, or for the easier one."""
+def policy_file(task: str, sensors: str, seed: int = 0) -> Traversable:
+    """Return the file of a policy that comes with the package: for the task, or for the easier one.
+
+    ``"lean"`` has those of the training seeds 0 to 4.
+    """
     folder = files("surefoot.experiments.policy").joinpath("files")
-    own = folder.joinpath(f"{task}-{sensors}", "policy.npz")
+    own = folder.joinpath(f"{task}-{sensors}" + (f"-{seed}" if seed else ""), "policy.npz")
     easier = find_task(task).easier
     return own if own.is_file() or not easier else policy_file(easier, sensors)
 

@@ -20,6 +20,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "NaoBalance": {"stand_time": 0.1, **LOADED},
     "NaoCarry": {"speeds": (0.02, 0.04), "stand_time": 0.5, "duration": 2.5, **LOADED},
     "Exercise": {"robot": "nao"},
+    "G1Lean": {"marches": 0, "wait": 0.2},
 }
 # Gymnasium takes NaN for a difference: nothing may lift a foot in the first step.
 CALM = {"push_impulse": (0.0, 0.0), "joint_noise": 0.0, "velocity_noise": 0.0}

@@ -59,6 +59,7 @@ QUICK: dict[str, Callable[[], gym.Env[Any, Any]]] = {
 SLOW: dict[str, Callable[[], gym.Env[Any, Any]]] = {
     "SelfCalibration, planar": lambda: calibrated(gym.make("Walker2d-v5"), ANKLES),
     "SelfCalibration, soles": lambda: SelfCalibration(FootSensors(humanoid(), soles=True)),
+    "G1Lean": lambda: gym.make("surefoot/G1Lean-v0"),
     "Exercise": lambda: gym.make("surefoot/Exercise-v0", robot="nao"),
     "NaoStand": lambda: gym.make("surefoot/NaoStand-v0"),
     "NaoWalk": lambda: gym.make("surefoot/NaoWalk-v0", duration=12.0),
