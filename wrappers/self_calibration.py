@@ -49,10 +49,10 @@ class SelfCalibration(
     area and measure the point of action. ``"contact_probability"`` and ``"undetermined"`` need the method
     ``"moment"``. The common moment of aligned values was ``FootCalibrator.aligned_lag`` samples ago, usually
     one. They suit a learner or a log, the others a controller that reacts within a step. For a robot of more
-    than 20 kg the bounds are five times its weight. A centre of pressure is defined above 5 N. Below that, the
-    last one is held and flagged. The calibrator compares the counts with a reference that the robot computes
-    from telemetry and a nominal model with wrong masses (:mod:`surefoot.robot.beliefs`), never from truth.
-    Stance and swing are taken from the environment's ``command`` or, without one, from kinematics
+    than 20 kg the bounds are five times its weight. A centre of pressure is defined above 5 N. Below that,
+    the last one is held and flagged. The calibrator compares the counts with a reference that the robot
+    computes from telemetry and a nominal model with wrong masses (:mod:`surefoot.robot.beliefs`), never from
+    truth. Stance and swing are taken from the environment's ``command`` or, without one, from kinematics
     (:mod:`surefoot.robot.beliefs.contacts`).
 
     ``info["surefoot"]`` gains ``"parameters"`` (``"scale"`` and ``"offset"``, each (K)), ``"covariance"`` (or

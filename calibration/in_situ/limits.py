@@ -2,8 +2,8 @@
 
 The checks that use them decide; constants of algorithms stand in their own modules. ``accept`` of
 :func:`~surefoot.calibration.in_situ.calibrate_in_situ` passes any limit with a reason. "Sound" is the largest
-value of ten sound logs of ``tests/spoilt/_spoilt_in_situ.py`` (five seeds, with a gyroscope and without), beside
-it are values of its spoilt logs; a limit without a measurement says "chosen".
+value of ten sound logs of ``tests/spoilt/_spoilt_in_situ.py`` (five seeds, with a gyroscope and without),
+beside it are values of its spoilt logs; a limit without a measurement says "chosen".
 """
 
 from typing import Self

@@ -27,7 +27,9 @@ class Mode(NamedTuple):
 
     time: float  # time constant in s
     force: float  # standard deviation of a force in W
-    torque: float  # that of a torque about the feet's centre of pressure, in W times the height of the centre of mass
+    torque: float
+    """Standard deviation of a torque about the feet's centre of pressure, in W times the height of the centre
+    of mass."""
 
 
 FREE = Mode(2.0, 0.002, 0.004)
@@ -38,15 +40,16 @@ HELD = Mode(2.0, 0.2, 0.08)
 """A robot that somebody holds, with a fifth of its weight and a twelfth of its height."""
 
 STEADY = Mode(15.0, 0.03, 0.025)
-"""A hand that bears some percent of the weight and changes within a quarter of a minute. Chosen on robots that
-walk along a rail, stand at a wall and sway there. Hands twice as large fit as well, but a filter that expects them
-recognises a hand of 5 % only on every second robot, and with half the torque it mistakes payloads for hands."""
+"""A hand that bears some percent of the weight and changes within a quarter of a minute. Chosen on robots
+that walk along a rail, stand at a wall and sway there. Hands twice as large fit as well, but a filter that
+expects them recognises a hand of 5 % only on every second robot, and with half the torque it mistakes
+payloads for hands."""
 
 MODES = FREE, HELD, STEADY
 
 RATES = np.array([(0.0, 1 / 60, 1 / 60), (1 / 20, 0.0, 1 / 300), (1 / 60, 1 / 60, 0.0)])
-"""Rates at which modes (rows) change into others (columns), in 1/s: in a minute of work somebody takes hold of
-a robot once and lets it go after 20 s, and a robot puts a hand on something for a minute."""
+"""Rates at which modes (rows) change into others (columns), in 1/s: in a minute of work somebody takes hold
+of a robot once and lets it go after 20 s, and a robot puts a hand on something for a minute."""
 
 FIRST_CHANCE = np.array([0.96, 0.02, 0.02])  # probabilities of the modes at the start
 

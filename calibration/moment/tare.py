@@ -9,19 +9,20 @@ zero has drifted by,
 
 with the published a on the right.
 
-The reference reports a swing where a foot's lowest part is higher than that of another foot. On soft ground or
-under a rolling sole such a foot may bear load. Whether it does is a matter of evidence: of the readings
+The reference reports a swing where a foot's lowest part is higher than that of another foot. On soft ground
+or under a rolling sole such a foot may bear load. Whether it does is a matter of evidence: of the readings
 
-* their **roughness** v, the variance within a block over that of the noise. The load of a foot that touches the
-  ground varies much more than the noise of a reading,
+* their **roughness** v, the variance within a block over that of the noise. The load of a foot that touches
+  the ground varies much more than the noise of a reading,
 * their **change** since the last tare, compared with drift and noise, or before the first tare their distance
-  from the starting map, compared with the offsets expected. A load changes them by any amount, and only upwards.
+  from the starting map, compared with the offsets expected. A load changes them by any amount, and only
+  upwards.
 
-A row enters with the variance that it may be loaded after all, so that a doubtful tare changes little. The zero
-in use has a probability of its own, and a likelier one replaces it: readings of a swing that was taken for a
-load become the zero if the next swing repeats them. If a zero that no second swing has confirmed turns out to be
-too high, the foot was loaded, and the filter begins again. From tare to tare the
-readings show how fast zeros drift, and scales are assumed to drift in proportion.
+A row enters with the variance that it may be loaded after all, so that a doubtful tare changes little. The
+zero in use has a probability of its own, and a likelier one replaces it: readings of a swing that was taken
+for a load become the zero if the next swing repeats them. If a zero that no second swing has confirmed turns
+out to be too high, the foot was loaded, and the filter begins again. From tare to tare the readings show how
+fast zeros drift, and scales are assumed to drift in proportion.
 """
 
 from collections.abc import Iterator
@@ -49,7 +50,8 @@ drift."""
 
 RATE_SHARE, SMALLEST_RATE, LARGEST_RATE, LARGEST_SURPRISE = 0.15, 0.1, 10.0, 9.0
 """Minimum weight of one tare in the learnt drift rate; bounds of the rate, in stated ones, for good and for
-neglected cells; and the largest squared surprise, in expected ones, that counts (three standard deviations)."""
+neglected cells; and the largest squared surprise, in expected ones, that counts (three standard
+deviations)."""
 
 STATED_RATE = 2.0  # tares that the rate to start from counts for
 
@@ -58,11 +60,12 @@ LEAP = 5.0
 is unknown: a false alarm in 1.7 million."""
 
 LARGEST_LOAD = 0.3
-"""Largest change of a zero that jumps, in body weights: three offsets of sensors three times as bad as stated."""
+"""Largest change of a zero that jumps, in body weights: three offsets of sensors three times as bad as
+stated."""
 
 ROUGH_DENSITY = 0.1
-"""Density of a loaded foot's roughness by its logarithm. Measured between 4 and 1e5 on a G1 and a T1 that walk
-and dance, on hard and on soft ground: a tenth per factor of e."""
+"""Density of a loaded foot's roughness by its logarithm. Measured between 4 and 1e5 on a G1 and a T1 that
+walk and dance, on hard and on soft ground: a tenth per factor of e."""
 
 NOISE_SPREAD = 1.4
 """Standard deviation of the logarithm of a sensor's noise variance by the stated one: noise twice as large as
@@ -136,8 +139,8 @@ class Tare:
             lost: Channels that are out (0 or 1), shape (K,).
 
         Returns:
-            The belief, the published map with the present drift, the state, and whether a zero that was in use
-            turned out to be that of a loaded foot.
+            The belief, the published map with the present drift, the state, and whether a zero that was in
+            use turned out to be that of a loaded foot.
         """
         columns, rate, followed, wrong = self._columns, state.rate, state.followed, False
         published, shown, times = published.copy(), state.reading.copy(), state.time.copy()

@@ -2,8 +2,8 @@
 
 If the robot plans its steps, the contacts follow from the plan. Otherwise they follow from kinematics: the
 foot with the lowest part is on the ground, unless the robot is in free fall. A foot is in the air if all its
-parts are clearly higher. On soft ground, or if the estimated attitude is wrong, such a foot may still bear load.
-The moment filter therefore weighs these contacts against the readings of the foot
+parts are clearly higher. On soft ground, or if the estimated attitude is wrong, such a foot may still bear
+load. The moment filter therefore weighs these contacts against the readings of the foot
 (:mod:`surefoot.calibration.moment.tare`).
 """
 
@@ -23,8 +23,9 @@ CONTACT_MARGIN = 4
 lag behind their targets, and the ground may be higher or lower than planned."""
 
 LIFTED = 0.014
-"""Height of a foot's lowest part above that of the lowest foot, as a fraction of the height of the centre of mass,
-above which the foot is in the air. It is fourteen times the error of legs with an encoder error of 1e-3 rad."""
+"""Height of a foot's lowest part above that of the lowest foot, as a fraction of the height of the centre of
+mass, above which the foot is in the air. It is fourteen times the error of legs with an encoder error of 1e-3
+rad."""
 
 DOWN = 0.004  # the same fraction, up to which a foot is on the ground
 FLAT = 0.03  # sole tilt in rad above which the foot is rolling and its height is not used
