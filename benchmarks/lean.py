@@ -56,7 +56,7 @@ MOST_FALLS = 0.05
 ROOT = Path(__file__).parents[1]
 
 
-def trained(out: Path, arm: str) -> list[str]:
+def train_missing(out: Path, arm: str) -> list[str]:
     """Return the policy files of an arm, after training those that are missing."""
     folders = [out / f"{arm}-{seed}" for seed in range(TRAININGS)]
     for seed, folder in enumerate(folders):
@@ -71,7 +71,7 @@ def run(out: Path, seeds: int) -> dict[str, Frame]:
 
     def part(name: str, arm: str, feeds: Sequence[str], severities: Sequence[float], **more: Any) -> Any:
         print(f"Evaluating {name}", flush=True)
-        policy = {arm: "zero" if arm == "zero" else trained(out, arm)}
+        policy = {arm: "zero" if arm == "zero" else train_missing(out, arm)}
         given = {"seeds": seeds, **more}
         rows = evaluate(ENV, policy, feeds=feeds, severities=severities, out=out / name, **given).rows
         return rows[rows["error"] == ""]

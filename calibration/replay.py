@@ -52,8 +52,7 @@ def replay(
         mass: Mass of the robot as the robot knows it, in kg.
         initial: The starting map. By default, readings are forces in newtons.
         lag: How many samples earlier than its row a reference describes the feet.
-        zero_phase: Whether to filter readings and accelerations forwards and backwards first. The forces
-            returned are those of the unfiltered readings.
+        zero_phase: Whether to filter readings and accelerations forwards and backwards before learning.
         watch: Iterates over the sample numbers, for example to show progress.
         options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
             method. An ``age`` in s of shape (N, K) is that of each reading, where a device reports it.

@@ -185,7 +185,6 @@ class FrontEnd:
         """
         self.check(raw, reference)
         gap = not 0.0 < dt <= LONGEST_GAP * self.setup.dt
-
         read, held, force, sure = self._read(state, raw, repair)
         passed = dt if 0.0 < dt < MOST_SILENCE else self.setup.dt
         silent = np.where(read, 0.0, np.minimum(state.silent + passed, MOST_SILENCE))

@@ -179,7 +179,7 @@ class Gains(NamedTuple):
 
 
 def gains_of(sets: Sequence[InSituSet], solution: Solution) -> Gains | None:
-    """Return what the hysteresis of a fit adds to its response; None for a fit without hysteresis."""
+    """Return the gains by which hysteresis changes the response of a fit, or None without hysteresis."""
     if not solution.problem.hysteresis:
         return None
     paths = [_path(data, solution.problem.moving)[0] for data in sets]

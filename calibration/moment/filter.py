@@ -287,14 +287,10 @@ class MomentFilter:
         state = self.blocks.begin(state)._replace(faults=faults, status=0)
         if ((block.read.mean(axis=0) < LEAST_READ) & (faults.lost < 0.5)).any():
             return self._rest(state, block, good=False)._replace(linked=0), np.nan, 0.0
-        known = state.published.mean
-        belief, still, tare = self.still.take(
-            block, state.time, state.belief, known, state.still, state.tare, faults.lost
-        )
+        known, lost, time = state.published.mean, faults.lost, state.time
+        belief, still, tare = self.still.take(block, time, state.belief, known, state.still, state.tare, lost)
         state = state._replace(still=still)
-        belief, published, tare, wrong_zero = self.tare.take(
-            block, state.time, belief, known, tare, faults.lost
-        )
+        belief, published, tare, wrong_zero = self.tare.take(block, time, belief, known, tare, lost)
         if wrong_zero:
             return self._begin_again(state._replace(tare=tare), faults), np.nan, 0.0
         if (self.faults.stand_in.count_lost(faults.lost) > 1.5).any():

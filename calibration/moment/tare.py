@@ -120,13 +120,7 @@ class Tare:
         )
 
     def take(
-        self,
-        block: Block,
-        time: float,
-        belief: Belief,
-        published: Array,
-        state: TareState,
-        lost: Array,
+        self, block: Block, time: float, belief: Belief, published: Array, state: TareState, lost: Array
     ) -> tuple[Belief, Array, TareState, bool]:
         """Tare the feet that hang in a block.
 
@@ -152,15 +146,9 @@ class Tare:
             a, noise = published[columns.scale][at], rough[foot] * self.variance[at] / swing.seconds
             change = swing.reading - shown[at]
             walked = 2.0 * noise + rate**2 * self._drift[at] * (time - max(last, 0.0))
+            repeated = swing.reading - offered[at]
             odds = self._weigh(
-                at,
-                change,
-                swing.reading - offered[at],
-                walked,
-                swing.rough,
-                rough[foot],
-                sure[foot],
-                offer[foot],
+                at, change, repeated, walked, swing.rough, rough[foot], sure[foot], offer[foot]
             )
             if odds.same + odds.other < 0.5:
                 sure[foot], offer[foot], offered[at] = odds.right, odds.other, swing.reading
@@ -283,7 +271,7 @@ class Tare:
         sure = swing[1:] & swing[:-1] & np.append(swing[2:], swing[-1])
         sure &= (block.read[:, channels] > 0.5).all(axis=1)
         count, seconds = int(sure.sum()), float(block.dt[sure].sum())
-        if count == 0:
+        if count == 0 or len(channels) == 0:
             return Swing(np.zeros(len(channels)), 0.0, 1.0)
         force = block.force[np.ix_(sure, channels)]
         reading = force.mean(axis=0)

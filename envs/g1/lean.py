@@ -10,9 +10,10 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from surefoot.arrays import Floats
+from surefoot.checks import check_count
 from surefoot.envs.g1.robot import LIFTS, Measured, Stance, StandingG1
 from surefoot.envs.instrumentation.means import MeanTruth
-from surefoot.envs.options import check_action, check_count, check_range, check_render_mode, positive
+from surefoot.envs.options import check_action, check_range, check_render_mode, positive
 from surefoot.envs.rendering import DrawnEnv, SceneRenderer
 
 CONTROL_STEP: Final = 0.02  # duration of a step in s

@@ -139,8 +139,7 @@ class InstrumentedEnv(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstruct
         self.joint_names = self.drawing.joint_names
         self.truth = self._reader.now()
         self._mean_truth = MeanTruth(self.truth.layout)
-        self.tells = True
-        self._warned = False
+        self.tells, self._warned = True, False
 
     def _instrument(self, made: Made, holder: str, prefix: str, *, named: bool, forced: bool) -> None:
         """Put a model with sensors into the environment, or report in ``untouched`` why it is left alone.

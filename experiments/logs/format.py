@@ -184,15 +184,10 @@ def read_log(
     clock = clock_of(values["time_s"], path.name, joined=bool(np.isinf(max_gap)))
     time, found = clock.time, tuple(f"{path.name}: column 'time_s' {text}." for text in clock.notices)
     check_time(time, description.dt_s, max_gap, path.name)
-    if len(time) <= facts["lag"]:
-        raise LogError(
-            f"{path.name}: {len(time)} rows are too few where references come lag_samples = {facts['lag']} "
-            "rows late; record some seconds."
-        )
+    _check_length(len(time), facts["lag"], path.name)
     curves = description.straightening
     raw = curves.straighten(stack(values, counts[1:]))
-    unread = np.isnan(facts["nominal"].offset).any()
-    if unread:
+    if unread := np.isnan(facts["nominal"].offset).any():
         check_readings(raw, counts[1:], path.name)
     if alone:
         reference, more, about = _refer_to_feet(table, raw, facts)
@@ -214,6 +209,15 @@ def read_log(
     del table, moved, values
     pa.default_memory_pool().release_unused()  # pyarrow would keep as much memory as the log needs
     return Log(time=time, raw=raw, reference=reference, truth=truth, **facts)
+
+
+def _check_length(rows: int, lag: int, name: str) -> None:
+    """Raise LogError if a log is shorter than the delay of its references."""
+    if rows <= lag:
+        raise LogError(
+            f"{name}: {rows} rows are too few where references come lag_samples = {lag} rows late; record "
+            "some seconds."
+        )
 
 
 def _kinds_in(table: LogTable, kinds: list[str]) -> list[str]:

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.arrays import Floats
-from surefoot.calibration.checks import check_count
+from surefoot.calibration.checks import check_counts
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.experiments.policy.tasks import LARGEST_SEVERITY, SENSORS, TRAINING_SEEDS, find_task
 from surefoot.experiments.policy.view import PolicyView, Traces, export, make_task
@@ -48,7 +48,7 @@ class Imitation:
             raise ValueError(f"The task '{self.task}' has no expert to imitate.")
         if self.sensors not in FEET:
             raise ValueError(f"'sensors' must be one of {FEET}, got {self.sensors!r}.")
-        check_count(self, "steps", "rounds")
+        check_counts(self, "steps", "rounds")
         if not 0 <= self.seed < 1000:
             raise ValueError(f"'seed' must lie in 0 to 999, got {self.seed}.")
 

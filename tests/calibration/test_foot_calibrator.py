@@ -306,7 +306,7 @@ def test_options_may_be_a_value_that_names_its_method():
         FootCalibrator(LAYOUT, Moment(ripple=1.0), mass=MASS, ripple=2.0)
 
 
-def test_a_replay_keeps_less_than_a_kilobyte_for_each_sample(log):
+def test_a_replay_keeps_little_more_than_a_kilobyte_for_each_sample(log):
     """Its results are arrays, and a covariance that changes once in several samples is kept once."""
     times = 12
     raw = np.concatenate([log.raw] * times)
@@ -319,7 +319,7 @@ def test_a_replay_keeps_less_than_a_kilobyte_for_each_sample(log):
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert peak < 1000 * len(raw) + 2**18
+    assert peak < 1100 * len(raw) + 2**18  # 112 of them are values at a common moment
     assert found.covariance.shape == (len(raw), 16, 16)
     whole = np.asarray(found.covariance)
     diagonal = np.arange(16)

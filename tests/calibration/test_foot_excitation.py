@@ -141,7 +141,7 @@ def test_the_worst_channel_is_another_goal(robot, plan):
 @pytest.mark.parametrize(
     ("budget", "options", "match"),
     [
-        (0.0, {}, "'budget' must be positive"),
+        (0.0, {}, "'budget' must be finite and positive"),
         (1.0, {}, "nothing fits into a budget of 1 s; the shortest motion takes 2 s"),
         (9.0, {"goal": "vgrf"}, r"'goal' must be one of \('cop', 'channel'\), got 'vgrf'"),
         (9.0, {"motions": ["dance"]}, "cannot do 'dance'. It can do: forward, left"),

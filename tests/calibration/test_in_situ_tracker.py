@@ -275,8 +275,8 @@ def test_a_state_can_be_set():
 
 test_options_without_meaning_are_refused = refusals(
     lambda options: InSituTrackerConfig(**options),
-    ({"drift_force": -1.0}, "'drift_force' must not be negative"),
-    ({"lag": -0.1}, "'lag' must not be negative"),
+    ({"drift_force": -1.0}, "'drift_force' must be finite and not negative"),
+    ({"lag": -0.1}, "'lag' must be finite and not negative"),
     ({"code_range": (1.0, -1.0)}, "lowest, highest"),
 )
 

@@ -286,8 +286,8 @@ def test_a_channel_that_dies_is_a_notice(bad_start: Log) -> None:
     raw[700:, 3] = 70_000.0
     (notice,) = log_notices(dataclasses.replace(bad_start, raw=raw), "walk.csv")
     assert notice == (
-        f"walk.csv ({bad_start.time[700]:.6g} s): 'raw_left_rear_right_count' is 70000 in all readings from "
-        "then on, while others move. Check its cable and its converter."
+        f"walk.csv ({bad_start.time[700]:.6g} s): 'raw_left_rear_right_count' stays at 70000 from then on, "
+        "while others change. Check its cable and its converter."
     )
 
 

@@ -160,7 +160,7 @@ def test_a_robots_loop_waits_for_no_part_of_scipy_that_logs_alone_need() -> None
 def test_environments_are_registered_in_every_order_of_imports(imports: str) -> None:
     printed = run_python(f"{imports}; print(sorted(i for i in gymnasium.registry if i[:9] == 'surefoot/'))")
     naos = ("NaoBalance", "NaoBalanceHard", "NaoCarry", "NaoCarryHard", "NaoStand", "NaoWalk")
-    assert ast.literal_eval(printed) == [f"surefoot/{name}-v0" for name in ("Exercise", *naos)]
+    assert ast.literal_eval(printed) == [f"surefoot/{name}-v0" for name in ("Exercise", "G1Lean", *naos)]
 
 
 def test_unknown_subpackage_is_an_attribute_error() -> None:

@@ -34,7 +34,7 @@ def model() -> NominalModel:
     return robot("tree 2")
 
 
-@pytest.mark.parametrize(("method", "show"), [("window", BARE), ("moment", PARTS)])
+@pytest.mark.parametrize(("method", "show"), [("tare", BARE), ("moment", PARTS)])
 def test_a_wrapped_robot_calibrates_alike(make_bare, library, monkeypatch, method, show):
     """With the library and without, whole episodes are the same; a held reference is NaN."""
     said, estimates = [], []

@@ -179,7 +179,7 @@ def test_round_feet_stand_on_any_side_and_swing_from_their_radius_on() -> None:
     roll = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(0.8), -np.sin(0.8)], [0.0, np.sin(0.8), np.cos(0.8)]])
     height = np.array([0.0, 0.02 - 0.02 * np.cos(0.8), 0.015, 0.03])
     moment = Reference(
-        none, none, none, np.column_stack([np.zeros((4, 2)), height]),
+        np.array([0.0, 0.0, 0.6]), none, none, np.column_stack([np.zeros((4, 2)), height]),
         np.stack([np.eye(3), roll, np.eye(3), np.eye(3)]), np.zeros(4, bool), np.zeros(4, bool),
         np.array([0.0, 0.0, 9.81]), none,
     )  # fmt: skip

@@ -52,7 +52,7 @@ def explain(findings: list[Finding], task: Task, sets: tuple[InSituSet, ...], ac
         found = investigate(posed, mistakes, fit_posed, EXPERIENCE, posed.rows)
         symptom = found.explain(symptom, drift.cure if drift else "")
         # Without times hysteresis that nobody sees looks like many a cause.
-        clear = task.timed and found.none < 1.0 - CERTAIN and _moved(plain, found) > limits.MOVED
+        clear = task.timed and found.none < 1.0 - CERTAIN and _change_of_loads(plain, found) > limits.MOVED
         symptom = replace(symptom, refuses=worst.refuses or bool(worst.contradicts and clear))
         if found.likely and refused and not accept and worst.name not in DOUBTS:
             follow = (*DOUBTS, "added masses")
@@ -97,7 +97,7 @@ def _quieten(data: InSituSet) -> InSituSet:
     return change_motion(data, lambda values: np.stack([smooth(one) for one in values.T], axis=1))
 
 
-def _moved(plain: Solution, found: Diagnosis) -> float:
+def _change_of_loads(plain: Solution, found: Diagnosis) -> float:
     """Return the relative change of contact loads by the likeliest cause, torques over the limb's lever arm.
 
     Zero if that cause has many unknowns: it may then only imitate a law of hysteresis that the fit does not

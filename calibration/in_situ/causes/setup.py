@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from itertools import combinations, permutations, product
 from operator import methodcaller
 
@@ -20,7 +20,13 @@ from surefoot.calibration.in_situ.solver.solve import Solution, solve
 _LIKELY = 2  # number of axis changes whose fit runs to convergence
 _GLANCE = 8  # evaluations of the short fits that select them
 
-_TURNS = sorted(Rotation.create_group("O"), key=Rotation.magnitude)  # where a rotated IMU is looked for
+
+@cache
+def _turns() -> list[Rotation]:
+    """Return the rotations by multiples of 90 degrees that are tried for the IMU, the smallest first."""
+    return sorted(Rotation.create_group("O"), key=Rotation.magnitude)
+
+
 _WEIGH = "weigh what was added and measure where it hung, or leave the set out"
 _FRAME = "measure places in the sensor's frame, and give the IMU's rotation (R_sensor_accelerometer)"
 
@@ -138,7 +144,7 @@ def frames(posed: Posed, plain: Solution) -> Iterator[Mistake]:
         "limb at rest"
     )
     # A rotation that is not small is an exchange of axes and a tilt.
-    for turns in (_TURNS[:1], _TURNS[1:]):
+    for turns in (_turns()[:1], _turns()[1:]):
         undo = partial(_turn, turns=turns, start=plain.outer)
         yield Mistake("rotation", _tell_turn, cure, undo, 3, len(turns))
 
