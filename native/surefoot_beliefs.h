@@ -255,19 +255,22 @@ SF_API void sf_nothing(const sf_timing *t, sf_belief *out) {
     out->known = 0;
 }
 
-/* Beliefs.interpolate: what a ring of rows, each `width` numbers, holds at a moment; from row `low` to `high`. */
-SF_API void sf_interpolate(const sf_timing *t, const sf_beliefs *s, const sf_real *ring, int width, double time,
+/* Beliefs.interpolate: what a ring of rows, each `width` numbers, holds at a moment; from row `low` to `high`. Returns
+   whether the moment is within the longest gap that is filled in from these rows. */
+SF_API int sf_interpolate(const sf_timing *t, const sf_beliefs *s, const sf_real *ring, int width, double time,
                            sf_whole low, sf_whole high, sf_real *out) {
     sf_whole at;
-    double index = (time - s->clock) / t->period + 0.5;
+    double index = (time - s->clock) / t->period + 0.5, wanted = index;
     if (!(index > (double)low)) index = (double)low;
     if (!(index < (double)high)) index = (double)high;
+    if (!(fabs(wanted - index) * (double)t->joined <= (double)t->filled)) return 0;
     at = (sf_whole)floor(index);
     if (at > high - 1) at = high - 1;
     if (high <= low) at = low;
     const sf_real *row = ring + width * sf_place(at), *next = ring + width * sf_place(at + 1);
     sf_real part = (sf_real)(index - (double)at);
     for (int i = 0; i < width; i++) out[i] = row[i] + part * (next[i] - row[i]);
+    return 1;
 }
 
 /* Rows that there may be in a ring. */
@@ -293,7 +296,7 @@ SF_API void sf_beliefs_reference(const sf_timing *t, sf_beliefs *s, double time,
     sf_reference *r = &out->reference;
     sf_nothing(t, out);
     if (s->run < 3) return;
-    sf_interpolate(t, s, s->ring, own + SF_OWN, time, s->number - sf_rows_kept(s) + 2, s->number - 1, rows);
+    if (!sf_interpolate(t, s, s->ring, own + SF_OWN, time, s->number - sf_rows_kept(s) + 2, s->number - 1, rows)) return;
     for (int foot = 0; foot < F; foot++) {
         const sf_real *sole = rows + SF_ROW_SOLES + 3 * foot, *forward = rows + sf_row_axes(F) + 9 * foot;
         x += forward[0], y += forward[1];

@@ -52,6 +52,7 @@ typedef struct {
     sf_real first_variance[SF_STATES], walk[2 * SF_CHANNELS], block, ahead, kept_time, longest_pause, product_time;
     sf_real largest_error, level, least_read, held_chance;
     sf_real velocity_variance[3], spin_variance, ripple, least_load, least_cosine;
+    sf_real tilt_memory, tilt_noise, tilt_mean, tilt_std;
     sf_real tare_variance[SF_CHANNELS], tare_share, least_apart, rate_share, smallest_rate;
     sf_real largest_rate, tare_surprise, stated_rate, first_rate, tare_leap, largest_load, largest_tared;
     sf_real loaded[SF_CHANNELS], rough_density, noise_spread, zero_jump, unconfirmed, roughest;
@@ -62,13 +63,14 @@ typedef struct {
     sf_real mode_time[SF_MODES], mode_force[SF_MODES], mode_torque[SF_MODES];
     sf_real rates[SF_MODES * SF_MODES], first_chance[SF_MODES], least_chance, least_published;
     sf_real leg_time, spin_time, first_speed, fastest;
-    sf_real versus_slack[SF_COMPONENTS], versus_explained, versus_memory, versus_independent, versus_sure;
+    sf_real versus_slack[SF_COMPONENTS], versus_factor, versus_explained, versus_memory, versus_independent, versus_sure;
     sf_real sure, contrast, alike, smallest_step, least_error, suspect_share, suspect_noise[2], suspect_surprise;
 } sf_moment_config;
 
 /* Belief: what the modes hold, and how likely they are. */
 typedef struct {
     sf_real mean[SF_MODES * SF_STATES], covariance[SF_MODES * SF_STATES * SF_STATES], chance[SF_MODES];
+    sf_real com_shift[2];
 } sf_modes;
 
 /* Publication: what is handed out. */
@@ -114,6 +116,11 @@ typedef struct {
     sf_real start_mean[SF_COMPONENTS], start_square[SF_COMPONENTS], precision[SF_COMPONENTS], evidence;
 } sf_versus_start;
 
+/* TiltState */
+typedef struct {
+    sf_real shift[2], time;
+} sf_tilt;
+
 /* Leap */
 typedef struct {
     sf_real reading[SF_CHANNELS], std[SF_CHANNELS];
@@ -131,6 +138,7 @@ typedef struct {
     sf_still still;
     sf_suspects suspects;
     sf_versus_start versus_start;
+    sf_tilt tilt;
     sf_real shift[SF_CHANNELS];
     sf_modes belief;
     sf_publication published;
@@ -147,7 +155,7 @@ typedef struct {
     sf_real measured[SF_COMPONENTS], at_end[SF_COMPONENTS];
     sf_real variance[SF_COMPONENTS * SF_COMPONENTS], walk[SF_COMPONENTS * SF_COMPONENTS], lasting[SF_COMPONENTS];
     sf_real crossed[SF_COMPONENTS * SF_CHANNELS * SF_CHANNELS];
-    sf_real point[3], velocity[3], duration, height;
+    sf_real point[3], velocity[3], duration, height, tilt[2]; /* tilt: NaN where it is unknown */
 } sf_moment_rows;
 
 /* The severities against the data of one mode, in standard deviations of the wide prior: number 4 * k + l is of the
@@ -402,6 +410,30 @@ SF_API void sf_measured_variance(const sf_config *c, const sf_moment_config *m, 
             out->variance[i * C + k] = noise[6 * sf_component(i) + sf_component(k)] / (c->gravity * c->gravity);
 }
 
+/* Model._tilt: level components of the mean normal of the loaded soles times the height of the centre of mass, in axes
+   that head along (x, y). */
+SF_API void sf_moment_tilt(const sf_config *c, const sf_moment_config *m, const sf_real *samples, int n,
+                           const sf_real *spare, sf_real x, sf_real y, sf_moment_work *w) {
+    int K = c->channels;
+    sf_real normal[2] = {0, 0}, total = 0, *tilt = w->rows.tilt;
+    for (int t = 0; t < n; t++)
+        for (int foot = 0; foot < c->feet; foot++) {
+            const sf_real *map = c->wrench_map + foot * 6 * K + 2 * K, *force = w->force + t * K;
+            const sf_real *R = samples + t * sf_waiting(c) + sf_at_rotation(c) + 9 * foot;
+            sf_real load = 0;
+            for (int i = 0; i < K; i++)
+                if (map[i] != 0) load += map[i] * (spare ? sf_dot(spare + i * K, force, K) : force[i]);
+            load = sf_max(load, 0);
+            total += load, normal[0] += load * R[2], normal[1] += load * R[5];
+        }
+    if (m->level < 0 || total < m->least_load * (sf_real)n) {
+        tilt[0] = tilt[1] = (sf_real)NAN;
+        return;
+    }
+    tilt[0] = w->rows.height * (normal[0] * x + normal[1] * y) / total;
+    tilt[1] = w->rows.height * (normal[1] * x - normal[0] * y) / total;
+}
+
 /* Model.rows. published: scales, offsets and drift; lasting: variance of each channel's force that
    lasts, in W^2. */
 SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, const sf_real *samples, int n,
@@ -509,6 +541,27 @@ SF_API void sf_moment_rows_of(const sf_config *c, const sf_moment_config *m, con
         for (int i = 0; i < K; i++) out->lasting[r] += weighted[r * K + i] * weighted[r * K + i] * lasting[i];
     }
     sf_measured_variance(c, m, arm, out);
+    sf_moment_tilt(c, m, samples, n, spare, x, y, w);
+}
+
+/* Model.allow_for_tilt: let the centre of mass be as far off as the soles are tilted. */
+SF_API void sf_allow_for_tilt(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows, sf_tilt *s,
+                              sf_modes *belief) {
+    int N = sf_states(c, m), com = sf_coms(c, m);
+    if (rows->tilt[0] != rows->tilt[0]) return;
+    s->time = sf_min(s->time + rows->duration, m->tilt_memory);
+    for (int k = 0; k < 2; k++) {
+        sf_real known = belief->com_shift[k], square, possible;
+        s->shift[k] += rows->duration / s->time * (rows->tilt[k] - s->shift[k]);
+        square = sf_power2(s->shift[k]) - sf_power2(m->tilt_noise * rows->height);
+        if (!(square > 0 && square > known * known)) continue;
+        possible = s->shift[k] < 0 ? -sf_sqrt(square) : sf_sqrt(square);
+        for (int j = 0; j < SF_MODES; j++) {
+            belief->mean[j * N + com + k] += m->tilt_mean * (possible - known);
+            belief->covariance[j * N * N + (com + k) * (N + 1)] += sf_power2(m->tilt_std) * (possible * possible - known * known);
+        }
+        belief->com_shift[k] = possible;
+    }
 }
 
 /* Model.move of a momentum: go on to a point o that has moved by `step` in m, H <- H - step x P. */
@@ -576,6 +629,7 @@ SF_API void sf_mix(const sf_config *c, const sf_moment_config *m, const sf_modes
                    sf_modes *out) {
     int C = m->components, N = sf_states(c, m), wrench = sf_momenta(c, m) + C;
     sf_real turning[SF_MODES][SF_MODES];
+    sf_copy(out->com_shift, s->com_shift, 2);
     for (int i = 0; i < SF_MODES; i++) {
         sf_real leaves = 0;
         for (int j = 0; j < SF_MODES; j++) leaves += turning[i][j] = m->rates[i * SF_MODES + j] * rows->duration;
@@ -1326,6 +1380,7 @@ SF_API void sf_copy_modes(const sf_config *c, const sf_moment_config *m, sf_mode
     sf_copy(to->mean, from->mean, SF_MODES * N);
     sf_copy(to->covariance, from->covariance, SF_MODES * N * N);
     sf_copy(to->chance, from->chance, SF_MODES);
+    sf_copy(to->com_shift, from->com_shift, 2);
 }
 
 SF_API void sf_copy_published(const sf_config *c, sf_publication *to, const sf_publication *from) {
@@ -1411,6 +1466,7 @@ SF_API void sf_moment_begin(const sf_config *c, const sf_moment_config *m, sf_mo
     for (int r = 0; r < m->components; r++) s->suspects.noise[r] = 1;
     memset(s->belief.mean, 0, (size_t)(SF_MODES * N) * sizeof(sf_real));
     memset(s->belief.covariance, 0, (size_t)(SF_MODES * N * N) * sizeof(sf_real));
+    memset(s->belief.com_shift, 0, sizeof s->belief.com_shift);
     s->age = s->drifted = 0;
     s->status = 0;
     for (int j = 0; j < SF_MODES; j++) {
@@ -1437,6 +1493,7 @@ SF_API void sf_moment_init(const sf_config *c, const sf_moment_config *m, sf_mom
     memset(s->shift, 0, sizeof s->shift);
     memset(&s->tare, 0, sizeof s->tare);
     memset(&s->still, 0, sizeof s->still);
+    memset(&s->tilt, 0, sizeof s->tilt);
     s->still.time = -1;
     s->tare.rate = m->first_rate;
     for (int foot = 0; foot < c->feet; foot++) s->tare.time[foot] = -1, s->tare.rough[foot] = m->roughest;
@@ -1778,21 +1835,24 @@ SF_API sf_real sf_include(sf_real *mean, sf_real *square, sf_real e, sf_real sha
 
 /* VersusStart.take: compare the published map with the start by a block that neither was learnt from. */
 SF_API void sf_take_versus_start(const sf_config *c, const sf_moment_config *m, const sf_moment_rows *rows,
-                                 const sf_real *before, const sf_real *learnt, int held, sf_versus_start *s) {
+                                 const sf_real *before, const sf_real *learnt, int held, const sf_real *com_shift,
+                                 sf_versus_start *s) {
     int C = m->components, N = sf_states(c, m), at = sf_momenta(c, m) + C;
-    sf_real span[SF_COMPONENTS], floor[SF_COMPONENTS], now[SF_COMPONENTS], then[SF_COMPONENTS], share, total = 0;
+    sf_real span[SF_COMPONENTS], floor[SF_COMPONENTS], now[SF_COMPONENTS], then[SF_COMPONENTS], slacks[SF_COMPONENTS], share, total = 0;
     for (int r = 0; r < C; r++) {
+        sf_real added = r == 1 || r == 2 ? sf_power2(m->versus_factor) * sf_max(sf_power2(com_shift[0]), sf_power2(com_shift[1])) : 0;
+        slacks[r] = sf_sqrt(sf_power2(m->versus_slack[r]) + added);
         span[r] = rows->mean[r * N + at + r];
         floor[r] = (2 * rows->variance[r * C + r] + rows->walk[r * C + r]) / (span[r] * span[r]);
     }
     sf_residual(c, m, rows, before, learnt, span, now);
     sf_residual(c, m, rows, before, NULL, span, then);
     for (int r = 0; held && r < C; r++)
-        if (sf_fabs(then[r]) > m->versus_slack[r] + m->versus_explained * sf_sqrt(floor[r])) return;
+        if (sf_fabs(then[r]) > slacks[r] + m->versus_explained * sf_sqrt(floor[r])) return;
     s->time = sf_min(s->time + rows->duration, m->versus_memory);
     share = rows->duration / s->time;
     for (int r = 0; r < C; r++) {
-        sf_real slack = m->versus_slack[r], counts, noise, q;
+        sf_real slack = slacks[r], counts, noise, q;
         s->precision[r] += share * (1 / floor[r] - s->precision[r]);
         counts = share / (floor[r] * s->precision[r]), noise = 1 / s->precision[r];
         q = sf_include(s->learnt_mean + r, s->learnt_square + r, now[r], counts, slack, noise);
@@ -1811,7 +1871,8 @@ SF_API int sf_suspect(const sf_config *c, const sf_moment_config *m, sf_moment_s
     sf_copy(known, published, M);
     sf_copy(known + M, w->belief.mean + likeliest * N + 3 * K, 4 + m->talks);
     sf_read_suspects(c, m, &s->suspects, s->pending, n);
-    sf_take_versus_start(c, m, &w->rows, s->suspects.before, s->published.mean, likeliest == m->held, &s->versus_start);
+    sf_take_versus_start(c, m, &w->rows, s->suspects.before, s->published.mean, likeliest == m->held, w->belief.com_shift,
+                         &s->versus_start);
     sf_miss(c, m, &s->faults, &w->rows, s->suspects.before, &s->tare, known);
     guilty = sf_weigh_suspects(c, m, &s->suspects, &s->faults, &w->rows, known, s->published.covariance,
                                w->belief.covariance + likeliest * N * N, &w->leap);
@@ -1965,6 +2026,7 @@ SF_API void sf_moment_block(const sf_config *c, const sf_moment_config *m, sf_mo
         } else {
             sf_lasting(c, m, s, &tare, lasting);
             sf_moment_rows_of(c, m, s->pending, n, published, lasting, sf_all_there(c, &s->faults) ? 0 : s->faults.spare, w);
+            sf_allow_for_tilt(c, m, &w->rows, &s->tilt, &w->belief);
             if (good) flag = sf_take_rows(c, m, s, w, n, published, &rejected, nis);
             if (flag < 0) {
                 *nis = (sf_real)NAN;

@@ -66,10 +66,10 @@ SF_API void sf_momentum_reference(const sf_timing *t, const sf_momentum_beliefs 
     memcpy(found + SF_FEET, r->swing, SF_FEET);
     sf_nothing(t, out);
     r->momentum = 1;
-    if (beliefs->run > 1) {
-        /* A reading stands for the middle of its interval, a momentum for the end. */
+    /* A reading stands for the middle of its interval, a momentum for the end. */
+    if (beliefs->run > 1 &&
         sf_interpolate(t, beliefs, s->moved, own + SF_MOVED_OWN, time + 0.5 * (double)t->dt,
-                       beliefs->number - sf_rows_kept(beliefs) + 1, beliefs->number, rows);
+                       beliefs->number - sf_rows_kept(beliefs) + 1, beliefs->number, rows)) {
         sf_put_reference(t, r, rows + SF_MOVED_COM, rows + own, rows + own + 3, rows + SF_MOVED_SOLES,
                          rows + sf_moved_axes(t->feet));
     }

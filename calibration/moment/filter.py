@@ -38,6 +38,7 @@ from surefoot.calibration.moment.state import (
     MomentState,
     Publication,
     TareState,
+    TiltState,
     VersusStartState,
 )
 from surefoot.calibration.moment.still import Still
@@ -141,7 +142,7 @@ class MomentFilter:
         front, columns = self.front_end.init(raw), self.columns
         J = len(MODES)
         covariance = np.tile(np.diag(self.first_variance), (J, 1, 1))
-        belief = Belief(np.tile(self._first_mean, (J, 1)), covariance, FIRST_CHANCE.copy())
+        belief = Belief(np.tile(self._first_mean, (J, 1)), covariance, FIRST_CHANCE.copy(), np.zeros(2))
         published = self._weigh(belief, 0.0).publish(belief.chance)
         zero = np.zeros(self._channels)
         tare = self.tare.init()
@@ -162,6 +163,7 @@ class MomentFilter:
             still=self.still.init(),
             suspects=self.repairs.suspects.init(self.blocks.capacity),
             versus_start=VersusStartState.begin(columns.components),
+            tilt=TiltState(np.zeros(2), 0.0),
             shift=zero,
             published=published,
             covariance=self._map_covariance(published, 1.0),
@@ -300,6 +302,8 @@ class MomentFilter:
             return self._rest(state, block, good=False), np.nan, 0.0
         spare = faults.spare if faults.lost.any() else None
         rows = self.model.rows(block, published, self._lasting(state, tare), spare)
+        belief, tilt = self.model.allow_for_tilt(belief, state.tilt, rows, block.duration)
+        state = state._replace(tilt=tilt)
         # Accelerations of a robot of which no foot stands are held by nothing: its feet are tared, no more.
         follows, rejected = bool(state.linked and state.track.valid), False
         if follows:

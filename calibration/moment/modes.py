@@ -87,7 +87,7 @@ def mix(belief: Belief, rows: Rows, columns: Columns, duration: float) -> Belief
         mean, covariance = combine(share[:, j], mean, covariance)
         means.append(mean)
         covariances.append(covariance)
-    return Belief(np.stack(means), np.stack(covariances), chance)
+    return belief._replace(mean=np.stack(means), covariance=np.stack(covariances), chance=chance)
 
 
 def begin(mean: Array, covariance: Array, part: slice, variance: Array) -> None:

@@ -76,8 +76,9 @@ class Repairs:
         suspects = suspects._replace(before=moved @ suspects.before + added, error=moved @ suspects.error)
         held = MODES[likeliest] is HELD
         compared = self.versus_start.take(
-            state.versus_start, rows, suspects.before, state.published.mean, block.duration, held
-        )
+            state.versus_start, rows, suspects.before, state.published.mean, block.duration, held,
+            belief.com_shift,
+        )  # fmt: skip
         state = state._replace(versus_start=compared)
         as_stated = known.copy()
         as_stated[columns.scale], as_stated[columns.drift] = 1.0, 0.0

@@ -43,4 +43,4 @@ def _scale(belief: Belief, fresh: Belief, size: Array) -> Belief:
     mean, covariance = fresh.mean.copy(), fresh.covariance.copy()
     mean[:, known] = belief.mean[:, known] * size
     covariance[:, known, known] = belief.covariance[:, known, known] * np.outer(size, size)
-    return Belief(mean, covariance, fresh.chance)
+    return fresh._replace(mean=mean, covariance=covariance)

@@ -17,6 +17,8 @@ class Belief(NamedTuple):
     mean: Array  # shape (J, N)
     covariance: Array  # shape (J, N, N)
     chance: Array  # shape (J,)
+    com_shift: Array = np.zeros(2)
+    """Error in m of the centre of mass that tilted soles have made possible, shape (2,)."""
 
 
 class Publication(NamedTuple):
@@ -49,6 +51,13 @@ class StillState(NamedTuple):
     reading: Array  # mean of the last block in W, shape (K,)
     level: Array  # mean over some seconds in W, shape (K,)
     time: float  # when the last block ended in s, -1 before the first
+
+
+class TiltState(NamedTuple):
+    """Mean tilt of the loaded soles against the believed vertical."""
+
+    shift: Array  # the tilt times the height of the centre of mass in m, in axes that head as feet do, (2,)
+    time: float  # time in s that it is a mean of, the first one as of level soles, at most the memory
 
 
 class Kept(NamedTuple):
@@ -125,6 +134,7 @@ class MomentState(NamedTuple):
     still: StillState  # readings of late
     suspects: SuspectState  # evidence against the readings
     versus_start: VersusStartState  # residuals of the learnt and of the starting map
+    tilt: TiltState  # tilt of the soles
     shift: Array  # by how much zeros have leapt together in N, which is taken off the readings, shape (K,)
     published: Publication  # the published posterior
     covariance: Array  # covariance of (a, b) by it, b in N, shape (2K, 2K)

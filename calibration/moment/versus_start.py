@@ -37,7 +37,14 @@ class VersusStart:
         self.slack[:3] = SLACK * np.array([config.mass_std, config.com_std, config.com_std])
 
     def take(
-        self, state: VersusStartState, rows: Rows, before: Array, learnt: Array, duration: float, held: bool
+        self,
+        state: VersusStartState,
+        rows: Rows,
+        before: Array,
+        learnt: Array,
+        duration: float,
+        held: bool,
+        com_shift: Array,
     ) -> VersusStartState:
         """Update the comparison with one block.
 
@@ -49,20 +56,23 @@ class VersusStart:
             learnt: The map that was published before the block, shape (M,).
             duration: Duration of the block in s.
             held: Whether the robot most likely has external support.
+            com_shift: Error in m of the centre of mass that tilted soles have made possible, shape (2,).
         """
+        slack = self.slack.copy()
+        slack[1:3] = np.sqrt(slack[1:3] ** 2 + SLACK**2 * np.square(com_shift).max())
         time = min(state.time + duration, MEMORY)
         share = duration / time
         span = rows.mean[:, self._columns.wrench].max(axis=0)
         floor = np.diagonal(2.0 * rows.variance + rows.walk) / span**2
         of_row, of_start_row = (self._residual(rows, before, known) / span for known in (learnt, self._start))
-        if held and (np.abs(of_start_row) > self.slack + EXPLAINED * np.sqrt(floor)).any():
+        if held and (np.abs(of_start_row) > slack + EXPLAINED * np.sqrt(floor)).any():
             return state
         # Rows are weighted by their precision, because a step that is read late contains little information.
         precision = state.precision + share * (1.0 / floor - state.precision)
         counts = share / (floor * precision)
         of_learnt = Residuals(state.learnt_mean, state.learnt_square).include(of_row, counts)
         of_start = Residuals(state.start_mean, state.start_square).include(of_start_row, counts)
-        evidence = evidence_for_start(of_learnt, of_start, self.slack, 1.0 / precision, time / INDEPENDENT)
+        evidence = evidence_for_start(of_learnt, of_start, slack, 1.0 / precision, time / INDEPENDENT)
         return VersusStartState(time, *of_learnt, *of_start, precision, evidence)
 
     def _residual(self, rows: Rows, before: Array, known: Array) -> Array:

@@ -141,6 +141,7 @@ def moment_constants(core: MomentFilter) -> tuple[Any, ...]:
         "held": modes.MODES.index(modes.HELD),
         "steady": modes.MODES.index(modes.STEADY),
         "versus_slack": core.repairs.versus_start.slack,
+        "versus_factor": versus_start.SLACK,
         "versus_explained": versus_start.EXPLAINED,
         "versus_memory": versus_start.MEMORY,
         "versus_independent": comparison.INDEPENDENT,

@@ -348,6 +348,8 @@ class Beliefs(Believed):
         if self.run < 3:
             return nothing(self.feet)._replace(stance=stance, swing=swing)
         rows, at = self._at(time), self.rows
+        if np.isnan(rows[COM, 0]):
+            return nothing(self.feet)._replace(stance=stance, swing=swing)
         R_level_odometry, origin = _level(rows[at.soles], rows[at.axes])
         level = rows[: at.ground + 1] @ R_level_odometry.T
         self.ground = level[at.ground]
@@ -400,7 +402,7 @@ class Beliefs(Believed):
         return self.clock + (number - 0.5) * self.period
 
     def _at(self, time: float) -> Floats:
-        """Interpolate the complete rows, shape (rows.width, 3). Outside their range, use the nearest row."""
+        """Interpolate the complete rows, shape (rows.width, 3)."""
         last = self.last
         assert last is not None
         low, high = last.number - min(self.run, HISTORY - 1) + 2, last.number - 1
@@ -410,10 +412,13 @@ class Beliefs(Believed):
         """Interpolate a ring buffer of rows, shape (HISTORY, ...), at a time in s.
 
         Each row belongs to the midpoint before the packet with its number. Only rows of packets ``low`` to
-        ``high`` are used.
+        ``high`` are used. A time outside their range takes the nearest row, because a packet may be late, but
+        not beyond the longest gap that is filled in. Beyond that gap the result is NaN.
         """
-        index = (time - self.clock) / self.period + 0.5
-        index = min(max(index, low), high)
+        wanted = (time - self.clock) / self.period + 0.5
+        index = min(max(wanted, low), high)
+        if not abs(wanted - index) * self.joined <= self.filled:
+            return np.full_like(ring[0], np.nan)
         number = min(floor(index), high - 1) if high > low else low
         row = ring[number % HISTORY]
         part = index - number

@@ -56,17 +56,18 @@ walks, and for a gyroscope that was zeroed at rest and has since warmed up by 20
 (data sheet of the Bosch BMI088). With 0.02 rad/s the gains would be several times larger for ten seconds, and
 the noise of the legs' velocity would tilt the attitude of a walking robot."""
 
-STILL_VELOCITY, STILL_TILT = 0.05, 0.03
-"""The first two if the robot starts at rest with an accelerometer bias of 0.3 m/s^2."""
+STILL_VELOCITY, STILL_TILT = 0.05, 0.01
+"""The first two if the robot starts at rest with an accelerometer bias of 0.1 m/s^2. With 0.03 rad a robot
+that settles on the ground tilts the attitude by most of a degree, which takes two seconds to decay."""
 
 STILL_SPIN, STILL_SPEED, STILL_FORCE = 0.1, 0.05, 0.05
 """Upper limits for a robot at rest: angular velocity in rad/s, velocity of the legs in m/s, and deviation of
 the specific force from gravity, as a fraction of gravity."""
 
-CONTRADICTION = 5.0 * STILL_TILT
-"""Angle in rad between specific force and vertical above which the first sample counts as wrong: five times
-its standard deviation. It applies to a robot at rest for less than :data:`FIRST_TIME`. A swaying robot looks
-at rest at its turning points, where it accelerates by up to 1 m/s^2 (0.1 rad)."""
+CONTRADICTION = 0.15
+"""Angle in rad between specific force and vertical above which the first sample counts as wrong. It applies
+to a robot at rest for less than :data:`FIRST_TIME`. A swaying robot looks at rest at its turning points,
+where it accelerates by up to 1 m/s^2 (0.1 rad)."""
 
 TURNED = 0.3  # tilt rate in rad/s that a walking robot may have while packets are missing
 
@@ -82,12 +83,13 @@ FIRST_TIME = 1.0  # weight in s of the prior of zero bias; s in which the first 
 
 FORCE_BIAS_TIME = 10.0  # longest time constant in s of the bias, many steps
 
-OTHER_GROUND = 0.3
-"""A in m/s^2: change of the excess above which the ground has probably changed (a slope of 1.8 degrees)."""
+OTHER_GROUND = 0.15
+"""A in m/s^2: change of the excess above which the ground has probably changed (a slope of 0.9 degrees)."""
 
-ZERO_OFFSET = 0.2
-"""B in m/s^2: 20 mg, the zero offset in data sheets of accelerometers in robots. A slope of more than a
-degree resembles a larger bias, and the estimate is reduced accordingly."""
+ZERO_OFFSET = 0.1
+"""B in m/s^2: 10 mg, twice the bias of accelerometers in robots after a calibration. A slope of more than
+half a degree resembles a larger bias, and the estimate is reduced accordingly. Calibrators allow for the rest:
+:meth:`surefoot.calibration.moment.model.Model.allow_for_tilt`."""
 
 TOUCH = 0.003
 """Height in m above the lowest point of the soles over which the weight of a contact point decays. Encoder

@@ -298,6 +298,22 @@ def test_axes_that_turn_are_no_error():
     np.testing.assert_allclose(turning.force, ahead.force, atol=1e-8 * WEIGHT)
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_tilted_attitude_is_not_taken_for_errors_of_cells(axis):
+    """An IMU mounted 5 degrees off turns everything that the robot believes, so its soles are not level."""
+    log, R, (i, k) = move(4, 20.0, STATED, walking=False), np.eye(3), [(1, 2), (0, 2)][axis]
+    R[i, i] = R[k, k] = np.cos(np.radians(5.0))
+    R[k, i] = np.sin(np.radians(5.0))
+    R[i, k] = -R[k, i]
+    belief = log.reference
+    vectors = {name: getattr(belief, name) @ R.T for name in ("com", "com_velocity", "angular_momentum")}
+    soles = belief.position_sole @ R.T
+    tilted = belief._replace(**vectors, position_sole=soles, R_level_sole=R @ belief.R_level_sole)
+    estimate = calibrated(log._replace(reference=tilted))
+    assert rmse(estimate, log, 10.0) < 1.25 * rmse(calibrated(log), log, 10.0)
+    assert not (estimate.flags & int(Flag.WORSE_THAN_START)).any()
+
+
 def test_the_contact_probability_is_sure_of_steps():
     log = move(8, 8.0, STATED)
     estimate = calibrated(log)
