@@ -88,8 +88,8 @@ OTHER_GROUND = 0.15
 
 ZERO_OFFSET = 0.1
 """B in m/s^2: 10 mg, twice the bias of accelerometers in robots after a calibration. A slope of more than
-half a degree resembles a larger bias, and the estimate is reduced accordingly. Calibrators allow for the rest:
-:meth:`surefoot.calibration.moment.model.Model.allow_for_tilt`."""
+half a degree resembles a larger bias, and the estimate is reduced accordingly. Calibrators allow for the
+rest: :meth:`surefoot.calibration.moment.model.Model.allow_for_tilt`."""
 
 TOUCH = 0.003
 """Height in m above the lowest point of the soles over which the weight of a contact point decays. Encoder
