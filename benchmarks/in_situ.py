@@ -285,7 +285,7 @@ def follow(sensor: str, seed: int, hysteresis: float, drifts: bool, jump: bool) 
     response = true_response(config, first)[0]
     later = {"since_fit_force": OFFSET_SHIFT[0], "since_fit_torque": OFFSET_SHIFT[1]} if jump else {}
     tracker = InSituTracker(fit, **later)
-    g = -felt[4] - fit.accelerometer_bias
+    g = -felt[4] - fit.imu.bias
     weight = np.concatenate([fit.limb.mass * g, np.cross(fit.limb.mass_com, g)], axis=1)
     left = raw[4] - weight @ fit.response.T
     half, window = len(g) // 2, int(MEAN * TRACKER_RATE)

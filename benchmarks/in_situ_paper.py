@@ -76,7 +76,8 @@ METHODS = {
 class Calibrated:
     """The result of one method for one sensor."""
 
-    matrix: Floats  # C in N and N m per count, shape (6, 6)
+    matrix: Floats  # C for contact loads in N and N m per count, shape (6, 6)
+    in_air: Floats  # C at the swings of the sets, which weighs what hangs on the sensor
     offsets: Floats  # o of each set in counts, shape (J, 6)
     limb: Limb  # beyond the sensor
 
@@ -94,7 +95,7 @@ def calibrate(
     except ValueError as refusal:
         return found | dict.fromkeys(("paper", "manufacturer"), str(refusal))
     # The paper also weighs with the manufacturer's matrix, and subtracts the limb that its own method found.
-    return found | {"paper": paper, "manufacturer": replace(paper, matrix=nominal)}
+    return found | {"paper": paper, "manufacturer": replace(paper, matrix=nominal, in_air=nominal)}
 
 
 def add_offsets(fit: InSituFit, sets: Sequence[InSituSet]) -> Calibrated | str:
@@ -102,8 +103,8 @@ def add_offsets(fit: InSituFit, sets: Sequence[InSituSet]) -> Calibrated | str:
     if fit.refusals:
         return str(fit.refusals[0])
     unseen = sets[len(fit.offsets) :]
-    others = [offset_of_set(one.raw, one.gravity, fit.response, fit.noise) for one in unseen]
-    return Calibrated(fit.matrix, np.array([*fit.offsets, *others]), fit.limb)
+    others = [offset_of_set(one.raw, one.gravity, fit.response_in_air, fit.noise) for one in unseen]
+    return Calibrated(fit.matrix, fit.matrix_in_air, np.array([*fit.offsets, *others]), fit.limb)
 
 
 def calibrate_as_paper(sets: Sequence[InSituSet]) -> Calibrated:
@@ -116,7 +117,7 @@ def calibrate_as_paper(sets: Sequence[InSituSet]) -> Calibrated:
         smooth.append(replace(one, raw=raw, gravity=gravity))
     offsets = np.array([estimate_offset(one.raw, one.gravity).offset for one in smooth])
     fit = estimate_matrix(smooth[:FITTED], offsets[:FITTED], noise_margin=0.0)
-    return Calibrated(fit.matrix, offsets, fit.limb)
+    return Calibrated(fit.matrix, fit.matrix, offsets, fit.limb)
 
 
 def wrench_error(matrix: Floats, response: Floats, wrench: Floats) -> tuple[float, float]:
@@ -141,7 +142,7 @@ def set_rows(found: Calibrated | str, sets: Sequence[InSituSet]) -> list[dict[st
         return []
     rows = []
     for j, data in enumerate(sets[FITTED:], FITTED):
-        wrench = (data.raw - found.offsets[j]) @ found.matrix.T
+        wrench = (data.raw - found.offsets[j]) @ found.in_air.T
         axes = force_ellipsoid(wrench[:, FORCE], data.gravity).semi_axes
         weighed = added_mass(wrench, data.gravity, found.limb)
         place = weighed.position if data.added_mass > 0.0 else np.full(3, np.nan)

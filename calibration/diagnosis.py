@@ -40,6 +40,7 @@ LIKELY = 0.5
 
 CLEARER = 10.0  # nats of evidence that a mistake must gain to be called the closest: 1 in 22,000 by chance
 _CLOSER = 0.5  # largest share of the residuals that the closest mistake may leave to be reported
+_FINER = 0.3  # share of the effective readings that count where residuals are below those of good instruments
 _MAY_BE_SOUND = 0.05  # probability of such residuals in sound data above which the data may be sound
 _SHOWN = 0.999  # largest probability that a sentence states
 
@@ -216,7 +217,7 @@ def investigate(
         # If the data contain a mistake, residuals below those of good instruments tell which.
         gains = np.array([one.evidence for one in tried])
         left = np.clip([one.size for one in tried], experience.best, least)
-        finer = gains + experience.readings * np.log(least / left)
+        finer = gains + _FINER * experience.readings * np.log(least / left)
         evidence = logsumexp(gains) + finer - logsumexp(finer)
         tried = [one._replace(evidence=float(e)) for one, e in zip(tried, evidence, strict=True)]
     found = diagnose(tried, 0.0, plain.size, experience)

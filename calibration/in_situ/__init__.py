@@ -8,7 +8,8 @@
 
 from surefoot.calibration.in_situ.calibrate import calibrate_in_situ
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, InSituTrackerConfig, KnownLimb
-from surefoot.calibration.in_situ.fit import InSituFit, Limb, read_calibration
+from surefoot.calibration.in_situ.file import read_calibration
+from surefoot.calibration.in_situ.fit import InSituFit, Limb
 from surefoot.calibration.in_situ.paper import OffsetFit, PaperMatrixFit, estimate_matrix, estimate_offset
 from surefoot.calibration.in_situ.track import InSituEstimate, InSituTracker
 

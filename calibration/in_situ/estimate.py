@@ -14,13 +14,13 @@ import numpy as np
 
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.check import measure_residual
-from surefoot.calibration.in_situ.covariance import OpenErrors, hidden_loops
+from surefoot.calibration.in_situ.covariance import OpenErrors, law_doubts
 from surefoot.calibration.in_situ.data import InSituOptions, InSituSet, Task, Vector, shift
 from surefoot.calibration.in_situ.hysteresis import Loops, fit_hysteresis, shows_loops
 from surefoot.calibration.in_situ.imu import Sphere, delay_left, errors_of_imu, fit_sphere, level
 from surefoot.calibration.in_situ.judge import check_rotation, data_rank
-from surefoot.calibration.in_situ.maker import KEPT, Leaning, lean, prior_of
 from surefoot.calibration.in_situ.solver.compress import compress
+from surefoot.calibration.in_situ.solver.maker import KEPT, Leaning, lean, prior_of
 from surefoot.calibration.in_situ.solver.problem import Problem, problem_of, starts
 from surefoot.calibration.in_situ.solver.solve import Solution, minima
 from surefoot.calibration.in_situ.temperature import add_gains, centre_temperatures
@@ -63,9 +63,9 @@ class Solved:
         return min(float(limits.HYSTERESIS), measure_residual(problem.sets))
 
     def open_errors(self, solution: Solution) -> OpenErrors:
-        """Errors of a solution by those of the IMU and by hidden hysteresis."""
+        """Errors of a solution by those of the IMU and by hysteresis that the fit does not contain."""
         of_imu = errors_of_imu(self.sets, solution, self.sphere, self.delay_std)
-        pairs = zip(of_imu, hidden_loops(solution, self.hidden), strict=True)
+        pairs = zip(of_imu, law_doubts(solution, self.hidden), strict=True)
         return OpenErrors(*(np.concatenate(pair, axis=1) for pair in pairs))
 
 

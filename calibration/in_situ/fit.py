@@ -1,10 +1,7 @@
 """The result of in-situ calibration, and where its unknowns stand in its covariance."""
 
-import dataclasses
 from dataclasses import dataclass, field
-from importlib.metadata import version
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,8 +10,6 @@ from surefoot.calibration.arrays import in_a_row
 from surefoot.calibration.in_situ.data import Matrix
 from surefoot.calibration.in_situ.model import AXES, MASS, RELATIVE_ERRORS, STATIC, limb_parameters
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
-from surefoot.calibration.state import LARGEST
-from surefoot.files import read_json
 
 
 class FitColumns(NamedTuple):
@@ -110,97 +105,112 @@ def _vectors(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     return array
 
 
-def _name(in_file: str) -> dict[str, str]:
-    """Name a field in files."""
-    return {"name": in_file}
+@dataclass(frozen=True, eq=False)
+class SetFit:
+    """What a fit found for one set of readings."""
+
+    name: str  # the set's
+    offset: Matrix  # o in counts at the middle of its samples, shape (k,)
+    stats: FitStats  # the residual is in counts
+    affine_residual: float  # share of its spread that leaves the three-space of Lemma 1
+
+
+@dataclass(frozen=True, eq=False)
+class ImuErrors:
+    """Errors of the accelerometer that were found and undone."""
+
+    bias: Matrix = field(default_factory=lambda: np.zeros(3))  # in m/s^2, shape (3,), which was taken off
+    scale: Matrix | float = 1.0  # by which its readings were multiplied: one number, or one an axis, (3,)
+    rotation: Matrix = field(default_factory=lambda: np.eye(3))
+    """R_sensor_accelerometer, shape (3, 3); the identity unless it was estimated."""
+    delay: float = 0.0  # by which gravity was late against the readings in s
+
+
+@dataclass(frozen=True, eq=False)
+class TemperatureEffect:
+    """How the sensor follows its temperature."""
+
+    coefficient: Matrix  # of the offsets in counts per K, shape (k,)
+    reference: float = 0.0  # temperature at which the offsets hold
+    gain: Matrix | None = None
+    """Change of each axis per K, as a share of its load, shape (6,); None if that was not seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hysteresis:
+    """How the sensor lags behind its load; shape (6,) each."""
+
+    share: Matrix  # width of the loop of each axis as a share of the load's swing
+    amplitude: Matrix
+    """Amplitudes of cycles in N and N m at whose ends the matrix holds: gains grow by ``share`` for each
+    doubling of the amplitude."""
+    swing_gain: Matrix  # gains of the axes at that amplitude over those at the swings of the sets
+
+
+@dataclass(frozen=True, eq=False)
+class MakerErrors:
+    """How far the maker's matrix is off, A = A_0 (1 + D)."""
+
+    share: float  # size of D as a share of full scale
+    known: Matrix  # share of each entry that the readings know, 1 - posterior / prior variance, shape (6, 6)
 
 
 @dataclass(frozen=True, eq=False)
 class InSituFit:
-    """A calibrated six-axis sensor, w = C (r - o) (in-situ paper, Eq. 2), with J sets of k channels.
+    """A calibrated six-axis sensor, w = C (r - o) (in-situ paper, Eq. 2), of k channels.
 
     Where the fit was refused all values are NaN and ``refusals`` says why.
 
     Attributes:
         matrix: C in N and N m per count, shape (6, k).
         offset: o of the last set (at its end, where it drifts) in counts, shape (k,).
-        offsets: o of each set in counts, at the middle of its samples, shape (J, k).
         response: Counts per N and N m, shape (k, 6): r = response w + o; C is its inverse, for k > 6 the
             one of least variance.
         limb: The body beyond the sensor.
         covariance: Of (C row by row, the last set's offset, the limb's mass and first moment), shape
             (7 k + 4, 7 k + 4).
         noise: Covariance of a sample's noise in counts^2, shape (k, k).
-        temperature_coefficient: Counts per K, shape (k,); None if no temperature was given, or it stayed.
-        rotation: R_sensor_accelerometer, shape (3, 3); the identity unless it was estimated.
+        sets: One for each set of readings.
+        stats: Of all sets together; the residual is in counts.
         result: How much the data determined.
         refusals: Why it was refused, or which refusals were accepted; empty if there was none.
         warnings: Limits of the numbers, to read before use.
-        stats: Of all sets together; the residual is in counts.
-        set_stats: One a set.
-        affine_residual: Share of a set's spread that leaves the three-space of Lemma 1, shape (J,).
-        set_names: Names of the sets in messages.
-        temperature_reference: Temperature at which the offsets hold.
-        temperature_gain: Change of each axis per K, as a share of its load, shape (6,); None if that was not
-            seen.
-        hysteresis: Width of the loop of each axis as a share of the load's swing, shape (6,); None if loads
-            were not seen to lag.
-        amplitude: Amplitudes of cycles of each axis in N and N m at whose ends the matrix holds, shape (6,):
-            gains grow by ``hysteresis`` for each doubling of the amplitude. None without hysteresis.
-        swing_gain: Gains of the axes at that amplitude over those at the swings of the sets, shape (6,); None
-            without hysteresis.
+        accepted: The reason that was given to pass the refusals; empty if none was passed.
+        scope: The quantities that were found, in words.
+        imu: Errors of the accelerometer.
+        temperature: None if no temperature was given, or it stayed.
+        hysteresis: None if loads were not seen to lag.
         offset_doubt: Covariance in counts^2, shape (k, k), of the offset's error by hysteresis, part of
             ``covariance``; None without hysteresis.
+        maker: None without a factory matrix that may change.
         data_share: Of the information on each entry of ``covariance``, the share that the readings give by
             themselves, without a factory matrix or a known limb, shape (7 k + 4,).
-        maker_known: Of each entry of D, A = A_0 (1 + D), the share that the readings know, 1 - posterior /
-            prior variance, shape (6, 6); None without a factory matrix.
-        accepted: The reason that was given to pass the refusals; empty if none was passed.
-        bending: Share of a set's spread that goes with gravity's squares, where that is more than noise or
-            hysteresis; the covariance counts it.
-        scope: The quantities that were found, in words.
-        maker_share: How far the maker's matrix is off by the readings, as a share of full scale; None without
-            one.
-        accelerometer_bias: In m/s^2, shape (3,), which was taken off.
-        accelerometer_scale: By which its readings were multiplied: one number, or one an axis, shape (3,).
-        delay: By which gravity was late against the readings in s, which was undone.
     """
 
-    matrix: Matrix = field(metadata=_name("matrix_N_Nm_per_count"))
-    offset: Matrix = field(metadata=_name("offset_count"))
-    offsets: Matrix = field(metadata=_name("offset_of_each_set_count"))
-    response: Matrix = field(metadata=_name("response_count_per_N_Nm"))
+    matrix: Matrix
+    offset: Matrix
+    response: Matrix
     limb: Limb
-    covariance: Matrix = field(metadata=_name("covariance"))
-    noise: Matrix = field(metadata=_name("noise_covariance_count2"))
-    temperature_coefficient: Matrix | None = field(metadata=_name("temperature_coefficient_count_per_K"))
-    rotation: Matrix = field(metadata=_name("R_sensor_accelerometer"))
-    result: FitResult
-    refusals: tuple[CalibrationRefused, ...]
-    warnings: tuple[str, ...]
+    covariance: Matrix
+    noise: Matrix
+    sets: tuple[SetFit, ...]
     stats: FitStats
-    set_stats: tuple[FitStats, ...]
-    affine_residual: Matrix = field(metadata=_name("affine_residual_of_each_set"))
-    set_names: tuple[str, ...]
-    temperature_reference: float = field(default=0.0, metadata=_name("temperature_reference_degC"))
-    temperature_gain: Matrix | None = field(default=None, metadata=_name("temperature_gain_per_K"))
-    hysteresis: Matrix | None = field(default=None, metadata=_name("hysteresis_share_of_swing"))
-    amplitude: Matrix | None = field(default=None, metadata=_name("amplitude_of_matrix_N_Nm"))
-    swing_gain: Matrix | None = field(default=None, metadata=_name("gain_at_swings_of_sets"))
-    offset_doubt: Matrix | None = field(
-        default=None, metadata=_name("offset_covariance_by_hysteresis_count2")
-    )
-    data_share: Matrix | None = field(default=None, metadata=_name("data_share_of_covariance"))
-    maker_known: Matrix | None = field(default=None, metadata=_name("data_share_of_factory_errors"))
-    accepted: str = field(default="", metadata=_name("accepted"))
-    bending: float = field(default=0.0, metadata=_name("bending_share_of_spread"))
-    scope: str = field(default="", metadata=_name("scope"))
-    maker_share: float | None = field(default=None, metadata=_name("factory_share_of_full_scale"))
-    accelerometer_bias: Matrix = field(
-        default_factory=lambda: np.zeros(3), metadata=_name("accelerometer_bias_m_s2")
-    )
-    accelerometer_scale: Matrix | float = field(default=1.0, metadata=_name("accelerometer_scale"))
-    delay: float = field(default=0.0, metadata=_name("accelerometer_delay_s"))
+    result: FitResult
+    refusals: tuple[CalibrationRefused, ...] = ()
+    warnings: tuple[str, ...] = ()
+    accepted: str = ""
+    scope: str = ""
+    imu: ImuErrors = field(default_factory=ImuErrors)
+    temperature: TemperatureEffect | None = None
+    hysteresis: Hysteresis | None = None
+    offset_doubt: Matrix | None = None
+    maker: MakerErrors | None = None
+    data_share: Matrix | None = None
+
+    @property
+    def offsets(self) -> NDArray[np.float64]:
+        """Offsets of each set in counts, at the middle of its samples, shape (J, k)."""
+        return np.array([one.offset for one in self.sets])
 
     @property
     def columns(self) -> FitColumns:
@@ -218,12 +228,12 @@ class InSituFit:
 
         With hysteresis it differs from :attr:`matrix`, which is for contact loads.
         """
-        return self.matrix if self.swing_gain is None else self.matrix * self.swing_gain[:, None]
+        return self.matrix if self.hysteresis is None else self.matrix * self.hysteresis.swing_gain[:, None]
 
     @property
     def response_in_air(self) -> NDArray[np.float64]:
         """The response at the swings of the sets in counts per N and N m, shape (k, 6)."""
-        return self.response if self.swing_gain is None else self.response / self.swing_gain
+        return self.response if self.hysteresis is None else self.response / self.hysteresis.swing_gain
 
     @property
     def offset_std(self) -> NDArray[np.float64]:
@@ -257,13 +267,19 @@ class InSituFit:
         """
         raw = _vectors("raw", raw, self.matrix.shape[1])
         o = self.offset if offset is None else np.asarray(offset)
-        gain: NDArray[np.float64] | float = 1.0
-        if temperature is not None and self.temperature_coefficient is not None:
-            warmer = (np.asarray(temperature, dtype=np.float64) - self.temperature_reference)[..., None]
-            o = o + warmer * self.temperature_coefficient
-            if self.temperature_gain is not None:
-                gain = 1.0 + warmer * self.temperature_gain
-        return np.asarray((np.asarray(raw, dtype=np.float64) - o) @ self.matrix.T / gain)
+        if temperature is None or self.temperature is None:
+            return np.asarray((raw - o) @ self.matrix.T)
+        matrix, change = self.at_temperature(temperature)
+        return np.asarray((matrix @ (raw - o - change)[..., None])[..., 0])
+
+    def at_temperature(self, temperature: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return C, (..., 6, k), and the change of the offset in counts, (..., k), at a temperature (...)."""
+        effect = self.temperature
+        if effect is None:
+            return self.matrix, np.zeros(self.matrix.shape[1])
+        warmer = np.asarray(temperature, dtype=np.float64)[..., None] - effect.reference
+        gain = 1.0 + warmer * (np.zeros(AXES) if effect.gain is None else effect.gain)
+        return self.matrix / gain[..., None], warmer * effect.coefficient
 
     def at_reference(
         self, raw: NDArray[np.float64], temperature: float | NDArray[np.float64]
@@ -274,11 +290,14 @@ class InSituFit:
             raw: Counts, shape (..., k).
             temperature: At which they were read, shape (...).
         """
-        warmer = (np.asarray(temperature, dtype=np.float64) - self.temperature_reference)[..., None]
-        cool = raw if self.temperature_coefficient is None else raw - warmer * self.temperature_coefficient
-        if self.temperature_gain is not None:
+        effect = self.temperature
+        if effect is None:
+            return np.asarray(raw)
+        warmer = np.asarray(temperature, dtype=np.float64)[..., None] - effect.reference
+        cool = raw - warmer * effect.coefficient
+        if effect.gain is not None:
             load = self.wrench(raw, temperature=temperature)
-            cool = cool - (warmer * self.temperature_gain * load) @ self.response.T
+            cool = cool - (warmer * effect.gain * load) @ self.response.T
         return np.asarray(cool)
 
 
@@ -300,138 +319,3 @@ def check_calibrated(fit: InSituFit, what: str) -> None:
     if fit.result is FitResult.REFUSED:
         reason = str(fit.refusals[0]) if fit.refusals else ""
         raise ValueError(f"{what} needs a calibration, and this fit was refused. {reason}".rstrip())
-
-
-FORMAT = "surefoot-in-situ-calibration"
-VERSION = 1
-
-_CONVENTIONS = (
-    "wrench = matrix (raw - offset), raw as it was read, in raw_unit, which stands for 'count' in all names",
-    "wrench = (fx, fy, fz, tx, ty, tz) in N and N m, exerted by the limb on the robot through the sensor, "
-    "at and in the sensor's frame: at rest f = m g with g pointing down",
-    "response is counts per N and N m: raw = response wrench + offset",
-    "offset is that of the last set at its end, offset_of_each_set_count those in the middle of each set; "
-    "with a temperature coefficient, raw = response wrench + offset + coefficient (temperature_degC - "
-    "temperature_reference_degC); with a temperature gain each axis of the wrench counts for 1 + gain times "
-    "that difference",
-    "gravity is (as read - accelerometer_bias) accelerometer_scale, and was read accelerometer_delay_s late",
-    "covariance is of (matrix row by row, offset, limb mass, limb mass times centre of mass), in those units",
-)
-_USED = ("matrix", "offset", "response", "noise")
-
-
-def _fields_of_files() -> dict[str, str]:
-    """Return the names in files of the fields that stand there as they are, by the field's name."""
-    return {one.name: one.metadata["name"] for one in dataclasses.fields(InSituFit) if one.metadata}
-
-
-def facts_of(
-    fit: InSituFit,
-    channels: tuple[str, ...] = (),
-    sensor: str = "",
-    notices: tuple[str, ...] = (),
-    raw_unit: str = "counts",
-) -> Any:
-    """Return a calibration as values that JSON can hold, with the sensor's name and notices of the log."""
-    return _plain(
-        {
-            "format": FORMAT,
-            "format_version": VERSION,
-            "made_with": f"surefoot {version('surefoot')}",
-            "sensor": sensor,
-            "channels": channels,
-            "raw_unit": raw_unit,
-            "conventions": _CONVENTIONS,
-            "result": fit.result.value,
-            "refusals": [{"reason": no.reason, "cure": no.cure} for no in fit.refusals],
-            "warnings": fit.warnings,
-            "notices": notices,
-            **{name: getattr(fit, field) for field, name in _fields_of_files().items()},
-            "matrix_std_N_Nm_per_count": fit.matrix_std,
-            "offset_std_count": fit.offset_std,
-            "limb": {
-                "mass_kg": fit.limb.mass,
-                "mass_std_kg": fit.limb_mass_std,
-                "mass_com_kg_m": fit.limb.mass_com,
-                "inertia_kg_m2": fit.limb.inertia,
-            },
-            "sets": [
-                {"name": name, **dataclasses.asdict(stats)}
-                for name, stats in zip(fit.set_names, fit.set_stats, strict=True)
-            ],
-            "all_sets": dataclasses.asdict(fit.stats),
-        }
-    )
-
-
-def _plain(value: Any) -> Any:
-    """Turn arrays into lists and values that are not finite into null."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, dict):
-        return {key: _plain(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def read_calibration(path: Path) -> InSituFit:
-    """Read a JSON file of ``surefoot calibrate ft``, to the last digit.
-
-    Raises:
-        ValueError: If the file is not there, is no calibration, one of another version, or holds numbers that
-            no sensor has.
-    """
-    if not path.is_file():
-        raise ValueError(f"{path}: no such file; 'surefoot calibrate ft' writes one.")
-    try:
-        given = read_json(path)
-        if (given["format"], given["format_version"]) != (FORMAT, VERSION):
-            raise ValueError(f"{given['format']} {given['format_version']}")
-        fit = _fit_of(given)
-        for field in _USED if fit.result is not FitResult.REFUSED else ():
-            if not (np.abs(getattr(fit, field)) <= LARGEST).all():
-                raise ValueError(f"'{_fields_of_files()[field]}' holds what no sensor has")
-        return fit
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(
-            f"{path.name}: is no {FORMAT} {VERSION}, which this surefoot reads ({error!r}); calibrate again."
-        ) from None
-
-
-def _fit_of(given: dict[str, Any]) -> InSituFit:
-    if given.get("nonlinear") is not None:
-        raise ValueError("a polynomial, which fits no longer have")
-    values: dict[str, Any] = {}
-    for one in dataclasses.fields(InSituFit):
-        optional = one.default is not dataclasses.MISSING or one.default_factory is not dataclasses.MISSING
-        name = one.metadata.get("name")
-        # Files of the same version may lack what has a default.
-        if name is not None and not (optional and given.get(name) is None):
-            value = given[name]
-            values[one.name] = _array(value) if isinstance(value, list) else value
-    limb = given["limb"]
-    return InSituFit(
-        limb=Limb(_number(limb["mass_kg"]), _array(limb["mass_com_kg_m"]), _array(limb["inertia_kg_m2"])),
-        result=FitResult(given["result"]),
-        refusals=tuple(CalibrationRefused(no["reason"], no["cure"]) for no in given["refusals"]),
-        warnings=tuple(given["warnings"]),
-        stats=_stats_of(given["all_sets"]),
-        set_stats=tuple(_stats_of(one) for one in given["sets"]),
-        set_names=tuple(one["name"] for one in given["sets"]),
-        **values,
-    )
-
-
-def _array(value: Any) -> Any:
-    return None if value is None else np.array(value, dtype=object).astype(np.float64)
-
-
-def _number(value: float | None, absent: float = np.nan) -> float:
-    return absent if value is None else float(value)
-
-
-def _stats_of(given: dict[str, Any]) -> FitStats:
-    rms, condition = _number(given["residual_rms"]), _number(given["condition"], np.inf)
-    rest = {key: value for key, value in given.items() if key != "name"}
-    return FitStats(**rest | {"residual_rms": rms, "condition": condition})

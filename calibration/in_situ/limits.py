@@ -1,4 +1,4 @@
-"""Limits that findings are held against: each a number with its unit and where it comes from.
+"""Limits of checks, each with its unit and its source.
 
 The checks that use them decide; constants of algorithms stand in their own modules. ``accept`` of
 :func:`~surefoot.calibration.in_situ.calibrate_in_situ` passes any limit with a reason. "Sound" is the largest
@@ -22,7 +22,7 @@ class Limit(float):
         return limit
 
 
-# At the door: channels, masses, gravity.
+# Input: channels, masses, gravity.
 SAMPLES = Limit(4, "samples", "a mean and three slopes of gravity")
 REPEATED = Limit(0.03, "share of samples", "chosen: six channels with noise seldom read the same twice")
 HELD = Limit(0.05, "share of the spread", "sound 0; an accelerometer that is held for 1 s 0.07")
@@ -32,7 +32,7 @@ SATURATED = Limit(0.002, "share of samples", "chosen; channels of spoilt logs en
 TIES = Limit(5, "samples", "equal readings at an end; chosen")
 TIES_RATIO = Limit(5.0, "over the mean of the next values", "chosen: turning points end by rounding as well")
 ROUNDED = Limit(4.0, "deviations", "a sum of six rounded values is off by 4.2 at most")
-HEAVIEST = Limit(100.0, "kg", "nobody hangs more on a limb; 0.1 kg in grams")
+HEAVIEST = Limit(100.0, "kg", "more than any added mass; 0.1 kg in grams is 100")
 FARTHEST = Limit(5.0, "m", "no limb is longer; 5 mm in mm")
 SHORTEST_GRAVITY = Limit(8.8, "m/s^2", "9.78 less a bias of 1")
 LONGEST_GRAVITY = Limit(10.8, "m/s^2", "9.83 and such a bias")
@@ -45,7 +45,7 @@ LATE = Limit(1e-3, "s", "half of a sample at 500 Hz")
 VERY_LATE = Limit(0.1, "s", "chosen: sound logs have up to 0.05")
 LATEST = Limit(1.0, "s", "chosen: a longer lag is no delay")
 
-# Within sets: samples left out, residuals that no rigid limb explains, temperature.
+# Within sets: rejected samples, residuals, temperature.
 REJECTED = Limit(
     0.05, "share of samples", "sound 0; a push of 3 s in a minute 0.05, a foot on the floor 0.13"
 )
@@ -80,13 +80,13 @@ MOVED = Limit(
     0.03, "share of contact loads", "by a slight contradiction's cause: an IMU turned by 3 degrees 0.054"
 )
 SLOW = Limit(0.15, "share of gravity's spread that a drift leaves", "the answer is seven times less sure")
-STILL = Limit(0.02, "share of gravity", "a direction along which it did not turn, as at the door")
+STILL = Limit(0.02, "share of gravity", "a direction along which it did not turn, as TILT")
 
 # The answer.
 SCALE = Limit(
     0.1, "share of the limb's mass", "scales of two sensors that had aged were off by 0.11 and 0.19"
 )
-AXIS = Limit(0.5, "share of an axis's load", "an axis known to half of its load was not seen")
+AXIS = Limit(0.5, "share of an axis's load", "an axis whose gain is unsure by half is unobservable")
 LONGEST_ARM = Limit(1.0, "m", "a humanoid's leg has its centre of mass within 0.5")
 LEAST_GAIN = Limit(0.4, "over the maker's", "sensors that had aged had 0.8 to 1.2; a pound is 0.45 kg")
 LARGEST_GAIN = Limit(2.5, "over the maker's", "the same")

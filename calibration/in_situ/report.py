@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -19,8 +18,17 @@ from surefoot.calibration.in_situ.covariance import (
 )
 from surefoot.calibration.in_situ.data import InSituSet, Matrix, Task, Vector
 from surefoot.calibration.in_situ.estimate import Solved
-from surefoot.calibration.in_situ.fit import FitColumns, InSituFit, Limb
-from surefoot.calibration.in_situ.hysteresis import gains_of
+from surefoot.calibration.in_situ.fit import (
+    FitColumns,
+    Hysteresis,
+    ImuErrors,
+    InSituFit,
+    Limb,
+    MakerErrors,
+    SetFit,
+    TemperatureEffect,
+)
+from surefoot.calibration.in_situ.hysteresis import Gains, gains_of
 from surefoot.calibration.in_situ.judge import (
     check_answer,
     check_axes,
@@ -29,8 +37,8 @@ from surefoot.calibration.in_situ.judge import (
     check_scale,
     data_rank,
 )
-from surefoot.calibration.in_situ.maker import COMMON, mean_of, prior_of
 from surefoot.calibration.in_situ.model import AXES, MASS, MOMENT, STATIC, different_masses, inertia_matrix
+from surefoot.calibration.in_situ.solver.maker import COMMON, mean_of, prior_of
 from surefoot.calibration.in_situ.solver.problem import Problem
 from surefoot.calibration.in_situ.solver.solve import Solution, solve
 from surefoot.calibration.results import CalibrationRefused, Finding, FitResult, FitStats
@@ -46,10 +54,14 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     bends, findings = check_within(solved.sets, problem.sets, solved.hidden)
     findings += slow_turn(solved.sets, problem.sets)
     doubted = [] if task.limb is None else check_limb(task, *_limb_alone(solved, solution))
-    # A limb that is not as it was given draws all masses with it.
+    # A wrong mass of the limb would bias all added masses.
     findings += doubted or check_masses(solution)
     known = data_share(solution)
     answer, doubts = answer_of(solution), slope_doubts(solution, solved.hidden)
+    gains = gains_of(solved.sets, solution)
+    if gains is not None:
+        # Whether the load grew from zero is not known.
+        doubts = (doubts[0], np.concatenate([doubts[1], solution.A * gains.stored[-1]], axis=1))
     places = (columns.matrix, columns.offset)
     roots = [_columns_of(answer, *pair) for pair in zip(places, doubts, strict=True)]
     roots.append(_members_root(solved, solution))
@@ -59,16 +71,10 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
     if bends:
         roots.append(bends * _bending_columns(answer, solution, task.limb is not None))
     root = np.concatenate(roots, axis=1)
-    fit = _assemble(solved, solution, answer, root @ root.T, known)
-    scope, maker_known, maker_share = _describe_scope(solved, fit)
-    fit = replace(
-        fit,
-        bending=bends,
-        offset_doubt=doubts[1] @ doubts[1].T if problem.hysteresis or solved.hidden else None,
-        scope=scope,
-        maker_known=maker_known,
-        maker_share=maker_share,
-    )
+    fit = _assemble(solved, solution, answer, root @ root.T, known, gains)
+    scope, maker = _describe_scope(solved, fit)
+    unsure = doubts[1] @ doubts[1].T if problem.hysteresis or solved.hidden else None
+    fit = replace(fit, offset_doubt=unsure, scope=scope, maker=maker)
     heaviest = float(np.max(problem.added[:, MASS]))
     findings += check_scale(fit, heaviest, task.owner if problem.maker else "")
     if problem.maker is None:
@@ -77,7 +83,12 @@ def fit_of(solved: Solved) -> tuple[InSituFit, list[Finding]]:
 
 
 def _assemble(
-    solved: Solved, solution: Solution, answer: Vector, covariance: Matrix, known: DataShare
+    solved: Solved,
+    solution: Solution,
+    answer: Vector,
+    covariance: Matrix,
+    known: DataShare,
+    gains: Gains | None,
 ) -> InSituFit:
     """Return the fit with the numbers of a solution."""
     problem, limb, predicted = solution.problem, solution.limb, solution.predicted
@@ -88,39 +99,37 @@ def _assemble(
         matrix, response = solved.task.factory, np.asarray(np.linalg.pinv(solved.task.factory))
     offset = answer[FitColumns.of(k).offset]
     offsets = np.array([part.middle.by(B) for part, B in zip(problem.sets, predicted, strict=True)])
-    gains = gains_of(solved.sets, solution)
     if gains is not None:
         stored = gains.stored @ solution.A.T
         offset, offsets = offset - stored[-1], offsets - stored
         if solved.task.mode != "keep":
             matrix, response = matrix / gains.matrix[:, None], response * gains.matrix
     stats, set_stats = _stats(solution, known)
+    temperature = None
+    if problem.temperature:
+        gain = limb[problem.of_loads][: problem.gains] if problem.gains else None
+        temperature = TemperatureEffect(solution.direct[:, 0], solved.reference or 0.0, gain)
+    hysteresis = None
+    if gains is not None:
+        swing_gain = np.ones(AXES) if solved.task.mode == "keep" else gains.matrix
+        hysteresis = Hysteresis(solution.shares, gains.amplitude, swing_gain)
     return InSituFit(
         matrix=matrix,
         offset=offset,
-        offsets=offsets,
         response=response,
         limb=Limb(float(limb[MASS]), limb[MOMENT], inertia_matrix(limb) if problem.moving else None),
         covariance=covariance,
         noise=problem.noise,
-        temperature_coefficient=solution.direct[:, 0] if problem.temperature else None,
-        rotation=solution.rotation,
-        result=FitResult.PARTLY_DETERMINED if known.unseen else FitResult.DETERMINED,
-        refusals=(),
-        warnings=(),
+        sets=tuple(
+            SetFit(part.source.name, of_set, of_stats, part.affine_residual)
+            for part, of_set, of_stats in zip(problem.sets, offsets, set_stats, strict=True)
+        ),
         stats=stats,
-        set_stats=set_stats,
-        affine_residual=np.array([part.affine_residual for part in problem.sets]),
-        set_names=tuple(part.source.name for part in problem.sets),
-        temperature_reference=solved.reference or 0.0,
-        temperature_gain=limb[problem.of_loads][: problem.gains] if problem.gains else None,
-        hysteresis=solution.shares if problem.hysteresis else None,
-        amplitude=None if gains is None else gains.amplitude,
-        swing_gain=None if gains is None or solved.task.mode == "keep" else gains.matrix,
+        result=FitResult.PARTLY_DETERMINED if known.unseen else FitResult.DETERMINED,
+        imu=ImuErrors(solved.sphere.bias, solved.sphere.scales, solution.rotation, solved.delay),
+        temperature=temperature,
+        hysteresis=hysteresis,
         data_share=known.share,
-        accelerometer_bias=solved.sphere.bias,
-        accelerometer_scale=solved.sphere.scales,
-        delay=solved.delay,
     )
 
 
@@ -143,8 +152,8 @@ def _common_scale(answer: Vector, columns: FitColumns, doubt: float, weighed: bo
 def _bending_columns(answer: Vector, solution: Solution, weighed: bool) -> Matrix:
     """Return columns by which each axis, the last offset at its load, and the limb are unsure by all.
 
-    Squares of gravity move no slope, but a limb that bends has cubes as well, which do. A limb that was
-    weighed is moved by no axis.
+    Squares of gravity do not change the slope, but a limb that bends also has cubes, which do. A limb that
+    was weighed is not affected.
     """
     columns = FitColumns.of(len(solution.A))
     load = solution.loads[-1] @ solution.problem.sets[-1].end.signals
@@ -182,30 +191,24 @@ def _stats(solution: Solution, known: DataShare) -> tuple[FitStats, tuple[FitSta
 
 def refuse_fit(sets: Sequence[InSituSet], refusals: tuple[CalibrationRefused, ...]) -> InSituFit:
     """Return a fit whose values are NaN, with the reasons."""
-    k, count = sets[0].channels, len(sets)
+    k = sets[0].channels
     size = FitColumns.of(k).limb.stop
     nothing = FitStats(0, 0, 0, np.nan, 0, AXES * k + STATIC, np.inf)
-    shapes: dict[str, tuple[int, ...]] = {
-        "matrix": (AXES, k),
-        "offset": (k,),
-        "offsets": (count, k),
-        "response": (k, AXES),
-        "covariance": (size, size),
-        "noise": (k, k),
-        "affine_residual": (count,),
-    }
-    unknown: dict[str, Any] = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
+
+    def unknown(*shape: int) -> Matrix:
+        return np.full(shape, np.nan)
+
     return InSituFit(
-        **unknown,
-        limb=Limb(np.nan, np.full(3, np.nan)),
-        temperature_coefficient=None,
-        rotation=np.eye(3),
+        matrix=unknown(AXES, k),
+        offset=unknown(k),
+        response=unknown(k, AXES),
+        limb=Limb(np.nan, unknown(3)),
+        covariance=unknown(size, size),
+        noise=unknown(k, k),
+        sets=tuple(SetFit(data.name, unknown(k), nothing, np.nan) for data in sets),
+        stats=nothing,
         result=FitResult.REFUSED,
         refusals=refusals,
-        warnings=(),
-        stats=nothing,
-        set_stats=(nothing,) * count,
-        set_names=tuple(data.name for data in sets),
     )
 
 
@@ -241,15 +244,15 @@ def _doubt_maker(task: Task, solution: Solution) -> Matrix:
     return moved
 
 
-def _describe_scope(solved: Solved, fit: InSituFit) -> tuple[str, Matrix | None, float | None]:
-    """Return the scope in words, the share of each of the maker's errors that is known, and their size."""
+def _describe_scope(solved: Solved, fit: InSituFit) -> tuple[str, MakerErrors | None]:
+    """Return the scope in words, and the maker's errors."""
     task, base = solved.task, "bias, mass and centre of mass"
     count = different_masses(solved.fits.members[0].solution.problem.added[:, :STATIC])
     loads = "one load" if count == 1 else f"{count} loads"
     if task.factory is None or task.mode == "free":
-        return f"{base}, and a matrix of its own ({loads})", None, None
+        return f"{base}, and a matrix of its own ({loads})", None
     if task.mode == "keep":
-        return f"{base}; matrix kept ({loads})", None, None
+        return f"{base}; matrix kept ({loads})", None
     prior, posterior = np.zeros((AXES, AXES)), np.zeros((AXES, AXES))
     for member in solved.fits.members:
         problem = member.solution.problem
@@ -268,8 +271,9 @@ def _describe_scope(solved: Solved, fit: InSituFit) -> tuple[str, Matrix | None,
         f"{np.sum(known > 0.5)} of 36 entries by the readings ({loads})"
     )
     if task.options.factory_std:
-        return words, known, float(np.mean(task.options.factory_std))
-    return words, known, float(np.exp(sum(one.weight * np.log(one.share) for one in solved.fits.members)))
+        return words, MakerErrors(float(np.mean(task.options.factory_std)), known)
+    share = float(np.exp(sum(one.weight * np.log(one.share) for one in solved.fits.members)))
+    return words, MakerErrors(share, known)
 
 
 def _limb_alone(

@@ -313,7 +313,7 @@ class InSituTracker:
         """
         rows = np.linalg.pinv(self._white @ fit.response) @ self._white @ self._slopes(GRAVITY * np.eye(3))
         covariance, lag = np.mean(rows @ self._errors @ rows.mT, axis=0), self.config.lag
-        share = fit.hysteresis if lag is None else lag
+        share = fit.hysteresis.share if lag is None and fit.hysteresis is not None else lag
         width = np.linalg.norm(weight, axis=1) * (0.0 if share is None else share)
         return np.asarray(covariance + np.diag((UNIFORM * width) ** 2))
 

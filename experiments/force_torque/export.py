@@ -5,13 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 import surefoot
 from surefoot.arrays import Floats
 from surefoot.calibration.in_situ import InSituFit
-from surefoot.calibration.in_situ.fit import facts_of
+from surefoot.calibration.in_situ.file import facts_of
 from surefoot.experiments.study.tables import flat
 from surefoot.files import write_text
 
@@ -31,13 +30,12 @@ def write_yaml(fit: InSituFit, path: Path, **facts: Any) -> Path:
 
 def map_at(fit: InSituFit, temperature: float | None) -> tuple[Floats, Floats]:
     """Return matrix and offset in readings, (6, k) and (k,), that hold at a temperature in degC."""
-    if fit.temperature_coefficient is None:
+    if fit.temperature is None:
         return fit.matrix, fit.offset
     if temperature is None:
         raise ValueError("The offset follows the temperature; give the one at which it shall hold.")
-    warmer = temperature - fit.temperature_reference
-    gain = np.zeros(6) if fit.temperature_gain is None else fit.temperature_gain
-    return fit.matrix / (1.0 + warmer * gain)[:, None], fit.offset + warmer * fit.temperature_coefficient
+    matrix, change = fit.at_temperature(temperature)
+    return matrix, fit.offset + change
 
 
 def write_ros2_parameters(

@@ -37,7 +37,7 @@ class Calibrated:
     @cached_property
     def numbers(self) -> tuple[int | None, ...]:
         """Number of each set in the fit; ``None`` for those that are kept aside."""
-        order = {name: i for i, name in enumerate(self.fit.set_names)}
+        order = {name: i for i, name in enumerate(one.name for one in self.fit.sets)}
         return tuple(order.get(data.name) for data in self.log.sets)
 
     @cached_property
@@ -54,7 +54,7 @@ class Calibrated:
         """Share of each set's spread that leaves the three-space of Lemma 1, shape (J,)."""
         return np.array(
             [
-                _leave_three_space(data.raw) if place is None else self.fit.affine_residual[place]
+                _leave_three_space(data.raw) if place is None else self.fit.sets[place].affine_residual
                 for data, place in zip(self.sets, self.numbers, strict=True)
             ]
         )
@@ -215,7 +215,7 @@ def offset_table(found: Calibrated) -> Table:
         (name, *(round_to(value, std)[0] for value in fit.offsets[:, i]), *round_to(fit.offset[i], std))
         for i, (name, std) in enumerate(zip(found.log.channels, fit.offset_std, strict=True))
     ]
-    columns = ("channel", *(f"set {name}" for name in fit.set_names), "at the end", "± (one sigma)")
+    columns = ("channel", *(f"set {one.name}" for one in fit.sets), "at the end", "± (one sigma)")
     return Table("offset", f"Offsets ({found.log.config.units.of_raw})", columns, tuple(rows))
 
 
@@ -223,7 +223,7 @@ def set_table(found: Calibrated) -> Table:
     """Make the table of sets."""
     rows = []
     for i, (data, place) in enumerate(zip(found.sets, found.numbers, strict=True)):
-        stats = None if place is None else found.fit.set_stats[place]
+        stats = None if place is None else found.fit.sets[place].stats
         rows.append(
             (
                 found.label(i),

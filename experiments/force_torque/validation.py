@@ -140,7 +140,7 @@ def motion_wrench(data: InSituSet, limb: Limb) -> Floats:
 def as_seen(data: InSituSet, fit: InSituFit) -> InSituSet:
     """Return a set with gravity in the sensor's frame, and readings without the effect of temperature."""
     raw = data.raw if data.temperature is None else fit.at_reference(data.raw, data.temperature)
-    return replace(data, raw=raw, gravity=data.gravity @ fit.rotation.T)
+    return replace(data, raw=raw, gravity=data.gravity @ fit.imu.rotation.T)
 
 
 def _take_finite(values: ArrayLike, gravity: ArrayLike) -> tuple[Floats, Floats]:

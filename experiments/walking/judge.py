@@ -8,7 +8,6 @@ unknown mistake (:mod:`surefoot.calibration.diagnosis`). The age of the readings
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -84,11 +83,9 @@ class Judgement:
     lateness: Lateness = PUNCTUAL
 
 
-class _Fitted(NamedTuple):
-    """A mistake and the fit without it."""
-
-    mistake: Mistake
-    fit: Fit
+def _try(mistake: Mistake, fit: Fit, choices: int) -> Tried:
+    """Return a mistake with the fit without it, one of so many that are tried."""
+    return Tried(mistake, WEIGHT * fit.evidence - float(np.log(choices)), fit.size, fit)
 
 
 def judge_log(
@@ -107,14 +104,14 @@ def judge_log(
         late, claims, fitted = _fit_in_time(written, list(mistakes(log.layout)))
         plain = fit_parts(condense(claims)) if late.seconds else plain
         others = _fit_troubles(claims, raw_names_of(log.layout))
-        diagnosis = _diagnose(plain, fitted, others)
+        diagnosis = _diagnose(plain, fitted + others)
         # A joint's sign takes its time: all references are made again.
         if log.turned and diagnosis.none <= LIKELY and not diagnosis.is_certain:
             found_late, found_claims, joints = _fit_in_time(written, list(joint_hypotheses(log)))
-            if joints[0].fit.evidence > fitted[0].fit.evidence:
+            if joints[0].evidence > fitted[0].evidence:
                 late, claims = found_late, found_claims
             fitted += joints
-            diagnosis = _diagnose(plain, fitted, others)
+            diagnosis = _diagnose(plain, fitted + others)
         found = _decide(claims, plain, diagnosis)
     if far and found and found[0].contradicts:
         far = []
@@ -127,8 +124,8 @@ def explain_pull(log: Log, initial: Parameters) -> Finding:
     tried = list(pulling_hypotheses(claims, log.layout))
     if len(tried) > 1 and not log.about.get("feet_alone"):  # without a motion that distinguishes them
         with threadpool_limits(limits=1, user_api="blas"):
-            fitted = [_Fitted(one, fit_parts(condense(one.undo(claims)))) for one in tried]
-        diagnosis = _diagnose(None, fitted, [])
+            fitted = [_try(one, fit_parts(condense(one.undo(claims))), TRIED) for one in tried]
+        diagnosis = _diagnose(None, fitted)
         tried = [one.mistake for one in diagnosis.causes]
         if diagnosis.likely:
             return Finding(tried[0].kind, diagnosis.sentence(), diagnosis.cure)
@@ -166,7 +163,7 @@ def length_of(log: Log) -> float:
     return float(log.about.get("foot_length_m", max(known, default=LENGTH)))
 
 
-def _fit_mistakes(claims: Claims, tried: list[Mistake]) -> list[_Fitted]:
+def _fit_mistakes(claims: Claims, tried: list[Mistake]) -> list[Tried]:
     """Fit a log without each mistake; return the fits of the likeliest ones, best first."""
     parts = condense(claims)
 
@@ -179,11 +176,11 @@ def _fit_mistakes(claims: Claims, tried: list[Mistake]) -> list[_Fitted]:
     tried = [tried[i] for i in np.argsort(rough)[::-1]]
     others = [one for one in tried if one.kind != tried[0].kind]
     tried = [*[one for one in tried if one.kind == tried[0].kind][:CLOSER], *others[:CLOSER]]
-    fitted = [_Fitted(one, fit_parts(mend(one))) for one in tried]
-    return sorted(fitted, key=lambda one: -one.fit.evidence)
+    fitted = [_try(one, fit_parts(mend(one)), TRIED) for one in tried]
+    return sorted(fitted, key=lambda one: -one.evidence)
 
 
-def _fit_in_time(claims: Claims, tried: list[Mistake]) -> tuple[Lateness, Claims, list[_Fitted]]:
+def _fit_in_time(claims: Claims, tried: list[Mistake]) -> tuple[Lateness, Claims, list[Tried]]:
     """Fit a log without each mistake, at the lateness of the likeliest one or of the log as it is."""
     fitted = _fit_mistakes(claims, tried)
     best = fitted[0].mistake
@@ -197,19 +194,17 @@ def _fit_in_time(claims: Claims, tried: list[Mistake]) -> tuple[Lateness, Claims
     return late, claims, _fit_mistakes(claims, tried)
 
 
-def _fit_troubles(claims: Claims, columns: list[str]) -> list[_Fitted]:
+def _fit_troubles(claims: Claims, columns: list[str]) -> list[Tried]:
     """Fit the log without one channel, and without its accelerations: troubles that calibrators cope with."""
     parts = condense(claims)
     cure = "see whether it follows the load; the method watches for it and does without it"
-    found = [
-        _Fitted(
-            Mistake(BROKEN, f"column '{column}' does not go with the others", cure, lambda c: c),
-            fit_parts(parts, without=i),
-        )
+    fits = [
+        (Mistake(BROKEN, f"column '{column}' does not go with the others", cure), fit_parts(parts, without=i))
         for i, column in enumerate(columns)
     ]
-    noise = Mistake(NOISE, "the accelerations are noise", "see that they are not delayed", lambda c: c)
-    return found + [_Fitted(noise, fit_claims(quiet)) for quiet in _quiet(claims)]
+    noise = Mistake(NOISE, "the accelerations are noise", "see that they are not delayed")
+    fits += [(noise, fit_claims(quiet)) for quiet in _quiet(claims)]
+    return [_try(mistake, fit, len(fits)) for mistake, fit in fits]
 
 
 def _quiet(claims: Claims) -> Iterator[Claims]:
@@ -220,13 +215,8 @@ def _quiet(claims: Claims) -> Iterator[Claims]:
         yield replace(claims, reference=reference)
 
 
-def _diagnose(plain: Fit | None, fitted: list[_Fitted], troubles: list[_Fitted]) -> Diagnosis:
+def _diagnose(plain: Fit | None, tried: list[Tried]) -> Diagnosis:
     """Return the probabilities of mistakes and troubles; ``plain`` is the fit of the log as it is, if any."""
-    tried = [
-        Tried(one.mistake, WEIGHT * one.fit.evidence - np.log(count), one.fit.size)
-        for group, count in ((fitted, TRIED), (troubles, len(troubles)))
-        for one in group
-    ]
     evidence, size = (WEIGHT * plain.evidence, plain.size) if plain else (-np.inf, np.inf)
     return diagnose(tried, evidence, size, EXPERIENCE)
 

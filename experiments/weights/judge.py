@@ -1,9 +1,9 @@
-r"""Judge a table of weighings: readings that lie off, labels that are exchanged, cells that do not react.
+r"""Check a table of weighings for outliers, exchanged labels and cells that do not follow the load.
 
-A cell's counts are linear in the load, code = g F + z, with noise of Student's t distribution, so that single
-readings that lie far off do not turn the line. The table as it is competes with tables in which two loads'
-labels are exchanged, or one label is another load: its likelihood gains n ln(s / s') where the scale of the
-residuals falls from s to s', over all cells.
+The counts of a cell are linear in the load, code = g F + z, with noise of Student's t distribution, so that
+outliers do not turn the line. The table is compared with tables in which two labels are exchanged, one label
+is another load, or a zero jumped (:mod:`surefoot.calibration.diagnosis`). The log likelihood grows by
+n ln(s / s') if the scale of the residuals of n readings falls from s to s'.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -27,10 +27,11 @@ from surefoot.experiments.weights.loop import LEAST as LEAST_LOOP
 from surefoot.experiments.weights.loop import Memory, memory_of
 from surefoot.experiments.weights.units import check_units
 
-ODDS = 1e6  # from which on a mistake is named
+ODDS = 1e6  # odds above which a mistake is reported
 EXPERIENCE = Experience(unknown=0.3, mimicked=0.02, size=1.0, spread=0.4)
-"""Residuals in those of repeated readings: bent cells and loops leave up to twice as much. Prior odds are
-those of walks (:mod:`surefoot.experiments.walking.judge`). Labels and jumps hardly mimic each other."""
+"""Residuals relative to those of repeated readings. Curves and hysteresis leave up to twice as much. The
+prior odds are those of walks (:mod:`surefoot.experiments.walking.judge`). Labels and jumps rarely mimic each
+other."""
 
 DRIFTED = 0.02  # drift as a share of the span of loads above which a scale that takes it in is refused
 EXCHANGED = "labels exchanged"
@@ -49,7 +50,7 @@ _note = partial(Finding, refuses=False)
 
 @dataclass(frozen=True)
 class Weighings:
-    """A table: loads in N, (n,); counts, (n, K); and how loads stand in the file."""
+    """A table of loads in N, (n,), and counts, (n, K), with the column and unit of the loads in the file."""
 
     load: Floats
     code: Floats
@@ -58,7 +59,7 @@ class Weighings:
     unit: float  # N of one in that column
 
     def label(self, load: float) -> str:
-        """Say a load as the file does."""
+        """Format a load in the unit of the file."""
         return f"{load / self.unit:.4g}"
 
 
@@ -74,12 +75,12 @@ class Line:
 
     @property
     def follows(self) -> bool:
-        """Whether the cell reacts to its load at all."""
+        """Whether the counts depend on the load significantly."""
         return abs(self.slope) > FOLLOWS * self.slope_std
 
 
 class Shape(NamedTuple):
-    """What one cell's readings show besides a line, each ``None`` for nothing."""
+    """Departures of one cell's readings from a line, each ``None`` if it is not significant."""
 
     curve: CurveFit | None
     memory: Memory | None
@@ -99,7 +100,7 @@ class Judged(NamedTuple):
 
 
 def judge_weighings(table: Weighings) -> Judged:
-    """Say whether a table fits itself, what is to be left out of it, and which shapes its cells have."""
+    """Check a table; return findings, the counts without outliers, and the shape of each cell."""
     out = np.isin(table.code, RAILS)
     table, given = replace(table, code=np.where(out, np.nan, table.code)), table
     lines: list[Line | None] = [_fit(table.load, code) for code in table.code.T]
@@ -149,7 +150,7 @@ def _fit(load: Floats, code: Floats) -> Line | None:
     residual[kept] = r
     spread = max(scale, _scatter(x, y)[0]) / np.sqrt(np.sum((x - x.mean()) ** 2))
     if (np.diff(middle) * theta[0] <= 0.0).any():
-        # No curve: what drifts from one weight to the next, readings right after each other do not show.
+        # Not a curve but a drift between weights, which repeated readings do not contain.
         means = np.array([r[x == one].mean() for one in loads])
         between = np.sum(means**2) / max(len(loads) - 2, 1) / np.sum((loads - loads.mean()) ** 2)
         spread = max(spread, np.sqrt(between))
@@ -157,7 +158,7 @@ def _fit(load: Floats, code: Floats) -> Line | None:
 
 
 def _likelihood(lines: list[Line | None]) -> float:
-    """Logarithm of the likelihood of all cells, but for a constant."""
+    """Return the log likelihood of all cells up to a constant."""
     total = 0.0
     for line in lines:
         if line is not None:
@@ -167,7 +168,7 @@ def _likelihood(lines: list[Line | None]) -> float:
 
 
 def _check_mistakes(table: Weighings, lines: list[Line | None]) -> Finding | None:
-    """Find the mistake without which all cells lie on their lines: a wrong label, or a zero that jumped."""
+    """Return a finding about the mistake that explains the residuals: a wrong label, or a zero jump."""
     tried = [*_label_mistakes(table), *_zero_jumps(table, lines)]
 
     def fit(undone: Weighings) -> Fitted:
@@ -204,7 +205,7 @@ def _label_mistakes(table: Weighings) -> Iterator[Mistake]:
         yield Mistake(EXCHANGED, cause, "exchange them", relabel(changed))
     for a in loads:
         if (np.isfinite(table.code) & (table.load == a)[:, None]).sum() < 2:
-            continue  # one reading that lies off is an outlier
+            continue  # a single reading is an outlier, not a wrong label
         others = [_fit(np.where(table.load == a, np.nan, table.load), code) for code in table.code.T]
         means = [
             (np.median(code[table.load == a]) - line.level) / line.slope
@@ -283,11 +284,11 @@ def _repeat(table: Weighings, i: int, line: Line) -> float:
 def _outliers(table: Weighings, i: int, line: Line) -> NDArray[np.bool_]:
     code = table.code[:, i]
     middle = float(np.nanmedian(np.abs(line.residual))) / NORMAL
-    # As far as one reading in a million is, where so many readings have found the line and its noise.
+    # The quantile of one reading in a million, for a line and a noise estimated from so many readings.
     noise = max(line.scale, middle)
     reach = noise * float(student.ppf(1.0 - 0.5 / ODDS, max(np.isfinite(line.residual).sum() - 2, 1)))
     far: NDArray[np.bool_] = np.abs(line.residual) > reach
-    # A curve bends away from its line under one load; a reading that lies off differs from its like as well.
+    # All readings of one load depart from the line of a curved cell. An outlier also departs from them.
     for row in np.flatnonzero(far):
         like = (table.load == table.load[row]) & np.isfinite(code)
         if like.sum() > 2 and abs(code[row] - np.median(code[like])) < reach:
@@ -298,7 +299,7 @@ def _outliers(table: Weighings, i: int, line: Line) -> NDArray[np.bool_]:
 def _check_cell(
     table: Weighings, i: int, line: Line, out: NDArray[np.bool_], shape: Shape
 ) -> Iterator[Finding]:
-    """Say of one cell whether it follows its load, which readings are left out, and which shape it has."""
+    """Yield findings about one cell: whether it follows its load, its outliers, and its shape."""
     name, code, load = table.cells[i], table.code[:, i], table.load
     read = np.isfinite(code)
     kept = read & np.isfinite(load) & ~out
@@ -335,7 +336,10 @@ def _check_cell(
 def _check_line(
     name: str, line: Line, span: float, bend: tuple[float, str, float], shape: Shape
 ) -> Iterator[Finding]:
-    """Say how far a cell that bore a span of N is from its line: most by a bend under a load, unsure by N."""
+    """Yield a finding about the departure of a cell from its line.
+
+    ``span`` is that of its loads in N, ``bend`` the largest departure in N, its load, and its deviation in N.
+    """
     (size, at, doubt), curve, memory = bend, shape.curve, shape.memory
     scatter = abs(line.scale / line.slope)
     bent = f"Column '{name}' is no line: under {at} its readings lie {size:.2g} N from it"
@@ -372,7 +376,7 @@ def find_memory(load: Floats, code: Floats, curve: CurveFit | None) -> Memory | 
 
 
 def _check_memory(name: str, memory: Memory | None, span: float) -> Iterator[Finding]:
-    """Say how much a reading depends on the way to its load, and on when it was made."""
+    """Yield findings about hysteresis and drift of a cell."""
     if memory is None:
         return
     share, std = (100.0 * part for part in (memory.hysteresis, memory.hysteresis_std))
@@ -390,7 +394,7 @@ def _check_memory(name: str, memory: Memory | None, span: float) -> Iterator[Fin
         drift = f"{memory.drift:+.2g} N from its first row to its last"
         reason = f"Column '{name}' drifts while it is weighed, by {drift}."
         cure = "Let the cell warm up for a quarter of an hour under no load, and weigh again."
-        # Loads that only rise go with the time, so that the drift becomes part of the scale.
+        # Loads that only rise are correlated with time, so the drift biases the scale.
         one_way = not np.isfinite(memory.hysteresis_std)
         if one_way:
             cure += " Weigh up and down: with loads in one order its scale takes the drift for load."

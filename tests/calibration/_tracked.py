@@ -6,6 +6,7 @@ import numpy as np
 from _in_situ import LEG_MATRIX, NOISE, OFFSET_WRENCH, SENSORS
 
 from surefoot.calibration.in_situ import InSituFit, Limb
+from surefoot.calibration.in_situ.fit import SetFit
 from surefoot.calibration.results import FitResult, FitStats
 
 RESPONSE = np.linalg.inv(LEG_MATRIX)
@@ -33,20 +34,13 @@ def make_fit(covariance=None, **changes):
     fields = {
         "matrix": LEG_MATRIX,
         "offset": OFFSET,
-        "offsets": OFFSET[None],
         "response": RESPONSE,
         "limb": Limb(MASS, MASS_COM),
         "covariance": covariance_of_fit() if covariance is None else covariance,
         "noise": NOISE_ROOT @ NOISE_ROOT.T,
-        "temperature_coefficient": None,
-        "rotation": np.eye(3),
         "result": FitResult.DETERMINED,
-        "refusals": (),
-        "warnings": (),
         "stats": nothing,
-        "set_stats": (nothing,),
-        "affine_residual": np.zeros(1),
-        "set_names": ("set",),
+        "sets": (SetFit("set", OFFSET, nothing, 0.0),),
     }
     return InSituFit(**(fields | changes))
 

@@ -137,7 +137,7 @@ def turned_sets(rng):
 def test_finds_the_rotation_of_the_accelerometer():
     sets, turn = turned_sets(np.random.default_rng(8))
     fit = calibrate_in_situ(sets, options=InSituOptions(estimate_rotation=True))
-    np.testing.assert_allclose(fit.rotation, turn, atol=2e-3)
+    np.testing.assert_allclose(fit.imu.rotation, turn, atol=2e-3)
     np.testing.assert_allclose(fit.limb.mass, SENSORS["leg"][1], rtol=0.03)
     np.testing.assert_allclose(fit.matrix @ np.linalg.inv(SENSORS["leg"][0]), np.eye(6), atol=0.02)
 
@@ -150,7 +150,7 @@ def test_masses_in_one_plane_leave_the_rotation_open():
         calibrate_in_situ(sets[:4], options=options)
     options = replace(options, factory_std=(0.1,) * 6)
     fit = calibrate_in_situ(sets[:4], factory_matrix=SENSORS["leg"][0] * 1.05, options=options)
-    np.testing.assert_allclose(fit.rotation, turn, atol=5e-3)
+    np.testing.assert_allclose(fit.imu.rotation, turn, atol=5e-3)
 
 
 def test_spikes_and_gaps_are_left_out():

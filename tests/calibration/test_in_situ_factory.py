@@ -113,7 +113,7 @@ def test_a_scale_that_is_the_makers_is_as_unsure_as_makers_are():
 @pytest.mark.parametrize("aged", [0.64, pytest.param([1.7, 1.6, 1.5, 1, 1, 1], marks=pytest.mark.slow)])
 def test_a_factory_matrix_that_has_aged_is_no_other_unit(aged):
     fit = calibrate_in_situ(leg_sets(), factory_matrix=np.multiply(np.reshape(aged, (-1, 1)), MATRIX))
-    assert fit.maker_share > 0.1
+    assert fit.maker.share > 0.1
 
 
 @pytest.mark.parametrize(

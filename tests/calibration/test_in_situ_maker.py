@@ -74,11 +74,11 @@ def test_what_the_readings_do_not_show_stays_the_makers():
     sets, _ = driver_sets(np.random.default_rng(82), 1, 0.03)
     fit = calibrate_in_situ(sets, factory_matrix=np.eye(6))
     assert fit.result is FitResult.PARTLY_DETERMINED
-    assert fit.maker_known.shape == (6, 6)
-    assert ((fit.maker_known >= 0.0) & (fit.maker_known <= 1.0)).all()
+    assert fit.maker.known.shape == (6, 6)
+    assert ((fit.maker.known >= 0.0) & (fit.maker.known <= 1.0)).all()
     # A tool that hangs near the axis loads no torque about it: who knows that gain is the maker.
-    assert (fit.maker_known[:, 3:] < 0.5).any()
-    assert 0.005 < fit.maker_share < 0.1
+    assert (fit.maker.known[:, 3:] < 0.5).any()
+    assert 0.005 < fit.maker.share < 0.1
     assert "36 entries by the readings (one load)" in fit.scope
 
 
@@ -90,7 +90,7 @@ def test_how_far_the_maker_may_be_off_can_be_stated():
     )
     np.testing.assert_allclose(tight.matrix, np.eye(6), atol=1e-4)
     assert np.abs(loose.matrix - np.eye(6)).max() > 0.01
-    assert loose.maker_share == pytest.approx(0.05)
+    assert loose.maker.share == pytest.approx(0.05)
 
 
 def test_a_kept_matrix_is_gravity_compensation():
@@ -155,14 +155,14 @@ def swinging_sets(rng, late):
 @pytest.mark.parametrize("late", [pytest.param(0.005, marks=pytest.mark.slow), 0.03])
 def test_a_late_imu_is_shifted_and_answered(late):
     fit = calibrate_in_situ(swinging_sets(np.random.default_rng(89), late))
-    assert fit.delay == pytest.approx(late, abs=1e-3)
+    assert fit.imu.delay == pytest.approx(late, abs=1e-3)
     assert any("The IMU is late by" in warning for warning in fit.warnings)
     assert abs(fit.limb.mass - SENSORS["leg"][1]) < 4.0 * fit.limb_mass_std
 
 
 def test_clocks_that_agree_are_left_alone():
     sets = tuple(swinging_sets(np.random.default_rng(90), 0.0))
-    assert calibrate_in_situ(sets).delay == 0.0
+    assert calibrate_in_situ(sets).imu.delay == 0.0
 
 
 @pytest.mark.parametrize("moving", [False, True])
@@ -241,7 +241,7 @@ def test_what_turning_adds_to_gravity_is_no_noise():
 def test_a_scale_that_is_off_is_taken_off_and_said():
     sets, _ = noisy_sets("leg", np.random.default_rng(92))
     fit = calibrate_in_situ([replace(one, gravity=1.03 * one.gravity) for one in sets])
-    assert fit.accelerometer_scale == pytest.approx(1.0 / 1.03, rel=2e-3)
+    assert fit.imu.scale == pytest.approx(1.0 / 1.03, rel=2e-3)
     assert "its scale is off by +3.0 %" in fit.warnings[0]
     assert fit.limb.mass == pytest.approx(SENSORS["leg"][1], rel=0.01)
 

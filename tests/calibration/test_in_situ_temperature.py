@@ -17,10 +17,10 @@ def test_finds_the_temperature_coefficient():
         kelvin = 25.0 + 10.0 * np.sin(np.linspace(0.0, 3.0 + j, 600))
         warmed.append(replace(one, raw=one.raw + np.outer(kelvin, coefficient), temperature=kelvin))
     fit = calibrate_in_situ(warmed, options=InSituOptions(drift=False))
-    np.testing.assert_allclose(fit.temperature_coefficient, coefficient, atol=0.6)
+    np.testing.assert_allclose(fit.temperature.coefficient, coefficient, atol=0.6)
     # Offsets are those of the mean temperature.
     reference = np.mean([one.temperature for one in warmed])
-    assert fit.temperature_reference == pytest.approx(reference)
+    assert fit.temperature.reference == pytest.approx(reference)
     there = offset + reference * coefficient
     np.testing.assert_allclose(fit.offsets, np.tile(there, (4, 1)), atol=8.0)
     hot = fit.wrench(fit.offset + 20.0 * coefficient, temperature=reference + 20.0)
@@ -45,17 +45,17 @@ GAIN = 1e-3 * np.array([0.8, 0.6, -0.5, 0.7, 0.9, -0.6])
 def test_a_gain_that_goes_with_the_temperature_is_found():
     warmed, _ = warmed_sets(np.random.default_rng([29, 0]), GAIN)
     fit = calibrate_in_situ(warmed)
-    np.testing.assert_allclose(fit.temperature_gain, GAIN, atol=1.5e-4)
+    np.testing.assert_allclose(fit.temperature.gain, GAIN, atol=1.5e-4)
     assert fit.warnings == ()
     mass = SENSORS["leg"][1]
     assert abs(fit.limb.mass - mass) < 4.0 * fit.limb_mass_std
     # Readings of one load, cold and hot, are one wrench.
-    cold, hot = fit.temperature_reference - 7.0, fit.temperature_reference + 7.0
+    cold, hot = fit.temperature.reference - 7.0, fit.temperature.reference + 7.0
     load = np.array([10.0, -20.0, 30.0, 1.0, -2.0, 0.5])
     for kelvin in (cold, hot):
-        warmer = kelvin - fit.temperature_reference
-        raw = fit.response @ (load * (1.0 + warmer * fit.temperature_gain)) + fit.offset
-        raw = raw + warmer * fit.temperature_coefficient
+        warmer = kelvin - fit.temperature.reference
+        raw = fit.response @ (load * (1.0 + warmer * fit.temperature.gain)) + fit.offset
+        raw = raw + warmer * fit.temperature.coefficient
         np.testing.assert_allclose(fit.wrench(raw, temperature=kelvin), load, rtol=1e-9)
         np.testing.assert_allclose(fit.at_reference(raw, kelvin), fit.response @ load + fit.offset, rtol=1e-9)
     assert np.linalg.norm(fit.matrix @ np.linalg.inv(SENSORS["leg"][0]) - np.eye(6)) < 0.05
@@ -64,16 +64,16 @@ def test_a_gain_that_goes_with_the_temperature_is_found():
 def test_a_gain_that_stays_is_none():
     warmed, _ = warmed_sets(np.random.default_rng(30), np.zeros(6))
     fit = calibrate_in_situ(warmed)
-    assert fit.temperature_gain is None
+    assert fit.temperature.gain is None
     assert fit.warnings == ()
-    assert fit.temperature_coefficient is not None
+    assert fit.temperature is not None
 
 
 def test_a_temperature_that_goes_with_gravity_is_left_out():
     sets, _ = noisy_sets("leg", np.random.default_rng(31))
     sets = [replace(one, temperature=25.0 + one.gravity[:, 0]) for one in sets]
     fit = calibrate_in_situ(sets)
-    assert fit.temperature_coefficient is None
+    assert fit.temperature is None
     assert any("went with gravity" in warning for warning in fit.warnings)
 
 
@@ -100,7 +100,7 @@ def test_a_temperature_that_goes_with_time_is_not_told_from_a_drift(cooling):
     sets, per_kelvin, drift = warmed(both_ways if cooling else lambda path: [path] * 4, drift=2.0)
     fit = calibrate_in_situ(sets)
     assert any("The temperature went with time" in warning for warning in fit.warnings) != cooling
-    taken = fit.temperature_coefficient - per_kelvin
+    taken = fit.temperature.coefficient - per_kelvin
     np.testing.assert_allclose(taken, 0.0 if cooling else drift, atol=0.3)
     assert abs(fit.limb.mass - SENSORS["leg"][1]) < 3.0 * fit.limb_mass_std
 
@@ -111,5 +111,5 @@ def test_the_temperature_of_a_leaning_fit_is_its_own():
     kelvin = 25.0 + 5.0 * np.sin(np.linspace(0.0, 9.0, 1000))
     warm = replace(sets[0], temperature=kelvin, raw=sets[0].raw + np.outer(kelvin, np.full(6, 4.0)))
     fit = calibrate_in_situ([warm], factory_matrix=matrix, limb=KnownLimb(mass, 0.005, com, 0.001))
-    assert fit.temperature_reference == pytest.approx(kelvin.mean())
-    np.testing.assert_allclose(fit.temperature_coefficient, 4.0, atol=0.8)
+    assert fit.temperature.reference == pytest.approx(kelvin.mean())
+    np.testing.assert_allclose(fit.temperature.coefficient, 4.0, atol=0.8)

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import surefoot.envs
-from surefoot.calibration.in_situ.fit import read_calibration
+from surefoot.calibration.in_situ import read_calibration
 from surefoot.controllers import CalibrationMotion
 from surefoot.controllers.policy import PolicyNetwork
 from surefoot.envs.prelude import Prelude
@@ -82,7 +82,7 @@ FILES: dict[str, tuple[str, Any, Any, str]] = {
     ),
     "deep settings": ("a.toml", text(DEEP_TOML), read_config, "a.toml: not TOML: it is nested more than 64"),
     "a deep calibration": (
-        "ft.json", text(DEEP), read_calibration, "ft.json: is no surefoot-in-situ-calibration 1, ",
+        "ft.json", text(DEEP), read_calibration, "ft.json: is no surefoot-in-situ-calibration 2, ",
     ),
     "a binary prelude": ("a.csv", text(BINARY), Prelude.read, "a.csv: not a text in UTF-8 ("),
     "zeros for a prelude": ("a.csv", text(bytes(64)), Prelude.read, "a.csv"),

@@ -13,6 +13,7 @@ from _ros2 import PACKAGE, build, needs_cpp, run, spoken, write_parameters
 from scipy.spatial.transform import Rotation
 
 from surefoot.calibration.in_situ import InSituFit, InSituSet, Limb, read_calibration
+from surefoot.calibration.in_situ.fit import Hysteresis, ImuErrors, MakerErrors, SetFit, TemperatureEffect
 from surefoot.calibration.reference import GRAVITY
 from surefoot.calibration.results import CalibrationRefused, FitResult, FitStats
 from surefoot.experiments.force_torque.export import write_json, write_ros2_parameters, write_yaml
@@ -32,20 +33,17 @@ def fit(channels: int = 6, **other: Any) -> InSituFit:
     values: dict[str, Any] = {
         "matrix": rng.standard_normal((6, k)) * 1e-3,
         "offset": 1e4 * rng.standard_normal(k),
-        "offsets": 1e4 * rng.standard_normal((2, k)),
         "response": rng.standard_normal((k, 6)) * 1e3,
         "limb": Limb(4.72, np.array([0.1, 1e-17, 1 / 3]), np.diag([0.3, 0.2, 0.1])),
         "covariance": root @ root.T,
         "noise": np.eye(k) * 2.5,
-        "temperature_coefficient": None,
-        "rotation": np.eye(3),
         "result": FitResult.DETERMINED,
-        "refusals": (),
         "warnings": ("Mind the knee.",),
         "stats": stats,
-        "set_stats": (stats, stats),
-        "affine_residual": np.array([1e-3, 2e-3]),
-        "set_names": ("1", "größer"),
+        "sets": tuple(
+            SetFit(name, 1e4 * rng.standard_normal(k), stats, left)
+            for name, left in (("1", 1e-3), ("größer", 2e-3))
+        ),
     }
     return InSituFit(**{**values, **other})
 
@@ -61,29 +59,29 @@ def refused() -> InSituFit:
         result=FitResult.REFUSED,
         refusals=(CalibrationRefused("Too few masses.", "Add one."),),
         stats=nothing,
-        set_stats=(nothing, nothing),
+        sets=tuple(SetFit(name, np.full(6, np.nan), nothing, np.nan) for name in ("1", "2")),
     )
 
 
 CALIBRATIONS = {
     "six channels": fit,
     "eight channels": lambda: fit(8),
-    "with temperature": lambda: fit(temperature_coefficient=np.arange(6.0) / 7.0),
-    "turned": lambda: fit(rotation=np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+    "with temperature": lambda: fit(temperature=TemperatureEffect(np.arange(6.0) / 7.0)),
+    "turned": lambda: fit(
+        imu=ImuErrors(rotation=np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    ),
     "limb without inertia": lambda: fit(limb=Limb(1.0, np.ones(3))),
     "refused": refused,
     "accepted": lambda: fit(
         result=FitResult.ACCEPTED, refusals=(CalibrationRefused("A bump.", "Mind it."),), accepted="I saw it"
     ),
     "with shares": lambda: fit(data_share=np.linspace(0.0, 1.0, 46)),
-    "an accelerometer's axes": lambda: fit(accelerometer_scale=np.array([1.0, 0.96, 1.01])),
+    "an accelerometer's axes": lambda: fit(imu=ImuErrors(scale=np.array([1.0, 0.96, 1.01]))),
     "leaning": lambda: fit(
         scope="bias, mass and centre of mass; matrix kept (one load)",
-        maker_share=0.0123,
-        maker_known=np.linspace(0.0, 1.0, 36).reshape(6, 6),
-        accelerometer_bias=np.array([0.1, -0.2, 0.3]),
-        accelerometer_scale=1.01,
-        delay=0.012,
+        maker=MakerErrors(0.0123, np.linspace(0.0, 1.0, 36).reshape(6, 6)),
+        imu=ImuErrors(np.array([0.1, -0.2, 0.3]), 1.01, delay=0.012),
+        hysteresis=Hysteresis(np.full(6, 0.01), np.arange(1.0, 7.0), np.linspace(0.97, 1.03, 6)),
     ),
 }
 
@@ -130,7 +128,7 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
     path = write_json(fit(), tmp_path / "sensor.json")
     told = json.loads(path.read_text())
     for change, said in (
-        ("[", r"sensor\.json: is no surefoot-in-situ-calibration 1, .*not JSON: Expecting value"),
+        ("[", r"sensor\.json: is no surefoot-in-situ-calibration 2, .*not JSON: Expecting value"),
         ("[]", "list indices must be integers"),
         (json.dumps({**told, "format_version": 9}), "surefoot-in-situ-calibration 9"),
         (json.dumps({k: v for k, v in told.items() if k != "offset_count"}), r"KeyError\('offset_count'\)"),
@@ -212,7 +210,7 @@ def test_without_the_filter_ros_adds_what_makes_the_drivers_wrench_the_calibrate
 
 
 def test_an_offset_that_follows_the_temperature_needs_one(tmp_path: Path) -> None:
-    made = fit(temperature_coefficient=np.arange(6.0))
+    made = fit(temperature=TemperatureEffect(np.arange(6.0)))
     with pytest.raises(ValueError, match="give the one at which it shall hold"):
         write_ros2_parameters(made, tmp_path / "ros2.yaml")
     assert list(tmp_path.iterdir()) == []
@@ -220,16 +218,16 @@ def test_an_offset_that_follows_the_temperature_needs_one(tmp_path: Path) -> Non
 
 def warm() -> InSituFit:
     """A calibration whose offsets and gains go with the temperature."""
-    made = fit(temperature_coefficient=np.arange(6.0), temperature_gain=np.linspace(-0.01, 0.02, 6))
-    return dataclasses.replace(made, response=np.linalg.inv(made.matrix), temperature_reference=25.0)
+    made = fit(temperature=TemperatureEffect(np.arange(6.0), 25.0, np.linspace(-0.01, 0.02, 6)))
+    return dataclasses.replace(made, response=np.linalg.inv(made.matrix))
 
 
 def test_pages_take_all_that_the_temperature_does_off_the_readings() -> None:
     made, rng = warm(), np.random.default_rng(3)
     load, warmer = rng.standard_normal((9, 6)), rng.uniform(-10.0, 10.0, 9)[:, None]
     cold = load @ made.response.T + made.offset
-    raw = (load * (1.0 + warmer * made.temperature_gain)) @ made.response.T + made.offset
-    raw = raw + warmer * made.temperature_coefficient
+    raw = (load * (1.0 + warmer * made.temperature.gain)) @ made.response.T + made.offset
+    raw = raw + warmer * made.temperature.coefficient
     data = InSituSet(raw, rng.standard_normal((9, 3)), temperature=25.0 + warmer[:, 0])
     log: Any = SimpleNamespace(sets=(data,))
     np.testing.assert_allclose(Calibrated(log, made).sets[0].raw, cold, rtol=1e-9)

@@ -69,6 +69,6 @@ def test_the_gammas_load_and_ellipsoid_are_those_of_independent_code(gamma):
     assert (gamma["unseen direction N"] < 0.1).all()
 
 
-def test_a_printed_sensor_is_refused_for_not_being_linear(metal):
-    with pytest.raises(CalibrationRefused, match="the limb bends as it turns, or the sensor is not linear"):
+def test_a_printed_sensor_is_refused_as_its_readings_are_not_linear(metal):
+    with pytest.raises(CalibrationRefused, match="of the readings' spread follows gravity in no linear way"):
         calibrate_in_situ(metal.load_optical(DATA))

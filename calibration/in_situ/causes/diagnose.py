@@ -23,8 +23,8 @@ from surefoot.calibration.in_situ.estimate import pose
 from surefoot.calibration.in_situ.hysteresis import lag_loads, shows_loops, turns_slowly
 from surefoot.calibration.in_situ.imu import smooth
 from surefoot.calibration.in_situ.judge import DOUBTS, data_rank
-from surefoot.calibration.in_situ.maker import AGED, prior_of
 from surefoot.calibration.in_situ.model import AXES, LEAST_LEVER, STATIC
+from surefoot.calibration.in_situ.solver.maker import AGED, prior_of
 from surefoot.calibration.in_situ.solver.solve import Solution, minima
 from surefoot.calibration.results import Finding
 

@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,8 +14,8 @@ from surefoot.calibration.diagnosis import CLEARER, Experience, Fitted, Mistake,
 from surefoot.calibration.in_situ import limits
 from surefoot.calibration.in_situ.data import Matrix, Task, Vector
 from surefoot.calibration.in_situ.judge import check_masses
-from surefoot.calibration.in_situ.maker import log_evidence, log_prior, prior_of
 from surefoot.calibration.in_situ.model import AXES, DIRECT, LEAST_LEVER, MASS, MOMENT, STATIC
+from surefoot.calibration.in_situ.solver.maker import log_evidence, log_prior, prior_of
 from surefoot.calibration.in_situ.solver.problem import Problem, starts, weigh_limb
 from surefoot.calibration.in_situ.solver.solve import Solution, minima, solve
 from surefoot.calibration.reference import GRAVITY
@@ -59,60 +61,92 @@ def check_factory(task: Task, problem: Problem, determined: bool) -> list[Findin
     return found
 
 
+class _Comparison(NamedTuple):
+    """Forces, and torques over the largest lever, that a matrix shows, against what hangs there."""
+
+    solution: Solution  # without the matrix
+    expected: Matrix | None  # loads by that, shape (6, 3 J), if it is determined or the limb known
+    measured: Matrix  # readings, while gravity turned, shape (k, 3 J)
+    weight: Matrix  # of forces and torques, shape (6, 1)
+
+    @classmethod
+    def of(cls, solution: Solution, known: bool) -> "_Comparison":
+        """Compare by a solution without the matrix, or by the limb that each matrix shows itself."""
+        problem = solution.problem
+        measured = [part.response[:, DIRECT] @ part.turned.T for part in problem.sets]
+        mass = problem.added[:, MASS]
+        levers = np.linalg.norm(problem.added[mass > 0.0, MOMENT], axis=1) / mass[mass > 0.0]
+        lever = max(float(np.max(levers, initial=0.0)), LEAST_LEVER)
+        weight = np.repeat([1.0, 1.0 / lever], 3)[:, None]
+        return cls(solution, _loads(solution) if known else None, np.concatenate(measured, axis=1), weight)
+
+    def loads(self, matrix: Matrix) -> Matrix | None:
+        """Return the loads that a matrix is held against; None if it shows a limb of negative mass."""
+        return _hangs(matrix, self.solution) if self.expected is None else self.expected
+
+    def miss(self, matrix: Matrix) -> float:
+        """Return how much a matrix misses, as a share of the loads."""
+        loads = self.loads(matrix)
+        if loads is None:
+            return np.inf
+        off = self.weight * (loads - matrix @ self.measured)
+        return float(np.linalg.norm(off) / np.linalg.norm(self.weight * loads))
+
+    def ways(self, factory: Matrix) -> Iterator["_Way"]:
+        """Yield other ways to read a matrix that misses much, or that a rotation improves clearly."""
+        now, loads = self.miss(factory), self.loads(factory)
+        gravity = np.concatenate([part.turned.T for part in self.solution.problem.sets], axis=1)
+        known = None if self.expected is None else self.weight * self.expected
+        if turn := _find_turn(self.weight * (factory @ self.measured), known, gravity):
+            turned = _turn_frame(factory, turn)
+            if now >= limits.FACTORY_MISSES or self.miss(turned[1]) < limits.READ_BETTER * now:
+                yield _Way("rotation", 3, _tell_rotation(turn), [turned])
+        if now >= limits.FACTORY_MISSES:
+            yield _Way("reading", 0, _CURE, list(_other_readings(factory)))
+            if loads is not None:
+                yield _Way("entry", 1, _CURE, list(_other_entries(factory, self.measured, loads)))
+                yield _Way("point", 3, _CURE, list(_other_point(factory, self.measured, loads)))
+
+
+class _Way(NamedTuple):
+    """Alternatives of one kind to read a matrix."""
+
+    kind: str
+    free: int  # unknowns of each
+    cure: str
+    others: list[tuple[str, Matrix]]  # in words, and the matrix as it then is
+
+
 def _read_otherwise(task: Task, problem: Problem, solution: Solution, determined: bool) -> list[Finding]:
     """Compare a factory matrix with the readings, and with other ways to read it where it misses much.
 
-    Forces and torques (over the largest lever) that it shows of all sets, while gravity turned, are compared
-    with the loads: by a solution without the matrix if that is determined or the limb known, else by the limb
-    that the matrix shows itself. The problem has the prior by the matrix.
+    The problem has the prior by the matrix, the solution has not.
     """
     assert task.factory is not None
-    factory, owner = task.factory, task.owner
-    limb_known = determined or (task.limb is not None and task.limb.com is not None)
-    expected = _loads(solution) if limb_known else _hangs(factory, solution)
-    measured = np.concatenate([part.response[:, DIRECT] @ part.turned.T for part in problem.sets], axis=1)
-    masses = problem.added[:, MASS]
-    levers = np.linalg.norm(problem.added[masses > 0.0, MOMENT], axis=1) / masses[masses > 0.0]
-    lever = max(float(np.max(levers, initial=0.0)), LEAST_LEVER)
-    weight = np.repeat([1.0, 1.0 / lever], 3)[:, None]
-
-    def miss(matrix: Matrix) -> float:
-        hangs = expected if limb_known else _hangs(matrix, solution)
-        if hangs is None:
-            return np.inf
-        return float(np.linalg.norm(weight * (hangs - matrix @ measured)) / np.linalg.norm(weight * hangs))
-
-    now = miss(factory)
-    gravity = np.concatenate([part.turned.T for part in problem.sets], axis=1)
-    known = weight * expected if limb_known and expected is not None else None
-    turn = _find_turn(weight * (factory @ measured), known, gravity)
-    ways = [] if turn is None else [(3, "rotation", _tell_rotation(turn), [_turn_frame(factory, turn)])]
-    if now < limits.FACTORY_MISSES and (not ways or miss(ways[0][3][0][1]) >= limits.READ_BETTER * now):
-        return []
-    if now >= limits.FACTORY_MISSES:
-        ways.append((0, "reading", _CURE, list(_other_readings(factory))))
-        if expected is not None:
-            ways.append((1, "entry", _CURE, list(_other_entries(factory, measured, expected))))
-            ways.append((3, "point", _CURE, list(_other_point(factory, measured, expected))))
-    start = solution.outer.copy()
-    if not limb_known:
+    factory, known = task.factory, determined or (task.limb is not None and task.limb.com is not None)
+    compared, start = _Comparison.of(solution, known), solution.outer.copy()
+    if not known:
         start[: problem.parameters] = problem.limb
-
-    def fit(matrix: Matrix) -> Fitted:
-        return Fitted(_evidence_of(matrix, problem, solution.rotation, start), miss(matrix))
-
-    mistakes = []
-    for free, kind, cure, others in ways:
-        scored = sorted(((miss(matrix), words, matrix) for words, matrix in others), key=lambda way: way[0])
+    now, mistakes = compared.miss(factory), list[Mistake]()
+    for kind, free, cure, others in compared.ways(factory):
+        scored = sorted(
+            ((compared.miss(matrix), words, matrix) for words, matrix in others), key=itemgetter(0)
+        )
         for left, words, matrix in scored[:_TRIED]:
             if left < min(limits.READ_BETTER * now, 1.0):
                 undo = partial(_read, matrix=matrix)
-                mistakes.append(Mistake(kind, words.format(owner=owner), cure, undo, free, len(others)))
+                mistakes.append(Mistake(kind, words.format(owner=task.owner), cure, undo, free, len(others)))
+    if not mistakes:
+        return []
+
+    def fit(matrix: Matrix) -> Fitted:
+        return Fitted(_evidence_of(matrix, problem, solution.rotation, start), compared.miss(matrix))
+
     found = investigate(factory, mistakes, fit, EXPERIENCE, sum(part.rows for part in problem.sets))
-    if max((one.evidence for one in found.causes), default=-np.inf) < CLEARER:
+    if max(one.evidence for one in found.causes) < CLEARER:
         return []
     at_odds = f"misses {now:.0%} of what hangs there" if now < 1.0 else "contradicts what hangs there"
-    finding = Finding("factory matrix", f"The {owner} matrix {at_odds}.", "", now, limits.MOVED)
+    finding = Finding("factory matrix", f"The {task.owner} matrix {at_odds}.", "", now, limits.MOVED)
     return [replace(found.explain(finding), refuses=now > limits.MOVED)]
 
 
