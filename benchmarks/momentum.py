@@ -38,6 +38,7 @@ import bench
 import gymnasium as gym
 import numpy as np
 from scipy.stats import chi2
+from strangers import Dance, make_g1
 
 from surefoot.arrays import Floats, stack_rows, take_rows
 from surefoot.calibration import FeetLayout, Flag, FootCalibrator, MomentumReference, Parameters, Reference
@@ -49,7 +50,7 @@ from surefoot.experiments.study.page import save_tables
 from surefoot.experiments.study.sources import source_hash
 from surefoot.experiments.study.tables import Cell, Frame, Table, decimal, table_of
 from surefoot.experiments.walks.record import lift
-from surefoot.experiments.walks.walkers import G1_FEET, make_g1
+from surefoot.experiments.walks.walkers import G1_FEET
 from surefoot.native import CALIBRATION, require
 from surefoot.robot.sensing.instruments import usual_cells
 from surefoot.sensors import LoadCells, scaled
@@ -60,6 +61,7 @@ METHODS = ("none", "tare", "window", "moment", "integrated")
 
 LOADED = 0.05  # share of the weight from which on a foot's centre of pressure counts
 UNLOADED = 0.01  # share of the weight below which a foot bears nothing: readings have as much noise
+SOFT = 0.15  # deflection in m at which a hand bears nothing, or twice its share
 HELD = 12.0, 20.0  # from when to when something lifts the robot, in s
 SETTLE, DURATION = 10.0, 30.0  # from when on errors count, and how long a scene lasts, in s
 HELD_OUT = 100  # seeds from this on are those of the page; constants were chosen on lower ones
@@ -72,6 +74,10 @@ class Scene(NamedTuple):
     command: Callable[[float], tuple[float, float, float]] = lambda time: (0.0, 0.0, 0.0)
     """Forward in m/s, left in m/s and turn in rad/s at a time in s, for those who take one."""
     lifted: float = 0.0  # share of the weight that somebody takes off for a while
+    hand: tuple[str, float, bool] | None = None
+    """A steady hand from the fourth second on: the body on which it acts (empty for the torso), the share of
+    the weight that it bears, and whether it is a wall, which also pushes back, or a rail along which the robot
+    walks."""
     pushed: float = 0.0  # impulse of pushes in body weights times s, sideways every 3 s
     options: tuple[tuple[str, Any], ...] = ()  # of its environment
 
@@ -79,6 +85,8 @@ class Scene(NamedTuple):
 def _walk(*command: float) -> Callable[[float], tuple[float, float, float]]:
     return lambda time: command if time > 2.0 else (0.0, 0.0, 0.0)  # type: ignore[return-value]
 
+
+G1_HAND = "left_wrist_yaw_link"
 
 EXERCISE = "nao", "op3", "g1", "t1"  # robots of surefoot/Exercise-v0
 
@@ -97,8 +105,17 @@ SCENES = {
         "held-50": Scene("", lifted=0.5),
         "held-walk": Scene("", _walk(0.3, 0.0, 0.0), lifted=0.2),
         "stand": Scene(""),
+        "mat": Scene("", _walk(0.4, 0.0, 0.0), options=(("ground", "mat"),)),
+        "stairs": Scene("", _walk(0.4, 0.0, 0.0), options=(("ground", "stairs"),)),
+        "rail-5": Scene("", _walk(0.4, 0.0, 0.0), hand=(G1_HAND, 0.05, False)),
+        "rail-10": Scene("", _walk(0.4, 0.0, 0.0), hand=(G1_HAND, 0.1, False)),
+        "wall": Scene("", hand=(G1_HAND, 0.05, True)),
     }.items()
 } | {
+    "g1/dance": Scene("g1-dancing"),
+    "nao/rail-10": Scene("surefoot/NaoWalk-v0", hand=("", 0.1, False)),
+    "nao/wall": Scene("surefoot/NaoStand-v0", options=(("sway", (0.02, 0.02)),), hand=("", 0.05, True)),
+    "t1/wall": Scene("surefoot/Exercise-v0", options=(("robot", "t1"),), hand=("", 0.05, True)),
     "nao/walk": Scene("surefoot/NaoWalk-v0"),
     "nao/walk-0.02": Scene("surefoot/NaoWalk-v0", options=(("speed", 0.02),)),
     "nao/walk-0.1": Scene("surefoot/NaoWalk-v0", options=(("speed", 0.1),)),
@@ -190,9 +207,13 @@ class Stream(NamedTuple):
 def make(scene: Scene) -> tuple[gym.Env[Any, Any], Callable[[float], Any]]:
     """Make a scene's environment, and its controller."""
     if scene.robot.startswith("g1"):
-        policy = "fastsac_g1_29dof" if scene.robot.endswith("fastsac") else "ppo_g1_29dof"
-        env = make_g1(policy)
+        policy = {"g1": "ppo_g1_29dof", "g1-fastsac": "fastsac_g1_29dof"}.get(
+            scene.robot, "ppo_g1_29dof_dancing"
+        )
+        env = make_g1(policy, **dict(scene.options))
         base: Any = env.unwrapped
+        if isinstance(env, Dance):
+            return env, lambda time: env.act()
         return env, lambda time: base.policy(base.state(), np.array(scene.command(time), float))
     env = gym.make(scene.robot, disable_env_checker=True, **dict(scene.options))
     still = np.zeros(env.action_space.shape or ())
@@ -222,9 +243,12 @@ def record(name: str, seed: int, start: str = "", seconds: float = DURATION) -> 
     robot, source, core = env.robot, sensors.source, sensors.robot
     model, data = env.unwrapped.model, env.unwrapped.data  # type: ignore[attr-defined]
     torso, rows, dt = model.body(source.drawing.torso).id, [], float(source.dt)
+    hand = Hand(scene, model, torso) if scene.hand else None
     fell, weight = False, source.drawing.weight
     for k in range(round(seconds / dt)):
         data.xfrc_applied[torso, :3] = _outside(scene, k * dt, weight)
+        if hand:
+            hand.push(data, k * dt, weight)
         _, _, fell, over, _ = env.step(act(k * dt))
         truth = source.truth
         both: Any = robot.beliefs
@@ -250,6 +274,29 @@ def _outside(scene: Scene, time: float, weight: float) -> Floats:
     if scene.pushed and time % 3.0 < 0.1:
         force[1] = scene.pushed * weight / 0.1 * (1.0 if int(time / 3.0) % 2 else -1.0)
     return force
+
+
+class Hand:
+    """A spring and a damper between a body and a rail or a wall, which bear a share of the weight."""
+
+    def __init__(self, scene: Scene, model: Any, torso: int) -> None:
+        assert scene.hand is not None
+        name, self._share, wall = scene.hand
+        self._body = model.body(name).id if name else torso
+        self._along = np.array([-0.8, 0.0, 0.6]) if wall else np.array([0.0, 0.0, 1.0])
+        self._held = np.array([1.0, 1.0, 1.0]) if wall else np.array([0.0, 1.0, 1.0])
+        self._place: Floats | None = None
+
+    def push(self, data: Any, time: float, weight: float) -> None:
+        """Set the force on the body at a time in s, which grows within half a second."""
+        if time < 4.0:
+            return
+        place = data.xipos[self._body].copy()
+        self._place = place if self._place is None else self._place
+        force, velocity = self._share * weight, data.cvel[self._body, 3:]
+        pull = np.clip((self._place - place - 0.02 * velocity) / SOFT, -1.0, 1.0)
+        share = min(2.0 * (time - 4.0), 1.0)
+        data.xfrc_applied[self._body, :3] = share * force * (self._along + self._held * pull)
 
 
 def stream(folder: Path, name: str, seed: int) -> Stream:
