@@ -76,8 +76,8 @@ class Scene(NamedTuple):
     lifted: float = 0.0  # share of the weight that somebody takes off for a while
     hand: tuple[str, float, bool] | None = None
     """A steady hand from the fourth second on: the body on which it acts (empty for the torso), the share of
-    the weight that it bears, and whether it is a wall, which also pushes back, or a rail along which the robot
-    walks."""
+    the weight that it bears, and whether it is a wall, which also pushes back, or a rail along which the
+    robot walks."""
     pushed: float = 0.0  # impulse of pushes in body weights times s, sideways every 3 s
     options: tuple[tuple[str, Any], ...] = ()  # of its environment
 

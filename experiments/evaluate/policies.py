@@ -8,6 +8,8 @@ a name or a file                  see :mod:`surefoot.experiments.policy.controll
 a Stable-Baselines3 model         its deterministic action; recurrent ones keep their state over an episode,
                                   and statistics of ``VecNormalize`` are taken along
 a torch module                    its output for one observation, clipped to the action space
+``"model.onnx"``                  its first output for a batch of one observation (needs onnxruntime); inputs
+                                  get the parts of the observation with their names
 a callable                        its answer; one with a ``reset`` is reset before every episode
 ================================  ==========================================================================
 """
@@ -107,6 +109,59 @@ class TorchPolicy:
         return answer[0].numpy()
 
 
+@dataclass(eq=False)
+class OnnxPolicy:
+    """A network in an ONNX file, which holds numbers and operations and no code.
+
+    Raises:
+        ValueError: If the file is missing, is no ONNX, or onnxruntime is not installed.
+    """
+
+    path: str
+
+    def __post_init__(self) -> None:
+        """Open the file."""
+        if not Path(self.path).is_file():
+            raise ValueError(f"There is no policy file '{self.path}'; give its path.")
+        try:
+            import onnxruntime
+            from onnxruntime.capi import onnxruntime_pybind11_state as errors
+        except ImportError as error:
+            raise ValueError(
+                f"The policy '{self.path}' needs onnxruntime ({error}): pip install onnxruntime."
+            ) from None
+        try:
+            self._session = onnxruntime.InferenceSession(self.path, providers=["CPUExecutionProvider"])
+        except (errors.Fail, errors.InvalidGraph, errors.InvalidProtobuf, errors.NotImplemented) as error:
+            raise ValueError(f"'{self.path}' cannot be opened as an ONNX network: {error}") from error
+        self._shapes = {one.name: list(one.shape) for one in self._session.get_inputs()}
+
+    def __reduce__(self) -> Any:
+        """Send the path to other processes, which open the file themselves."""
+        return OnnxPolicy, (self.path,)
+
+    def __call__(self, observation: Any) -> Any:
+        """Return the action for one observation; ValueError if the network takes another one."""
+        parts = observation if isinstance(observation, Mapping) else {next(iter(self._shapes)): observation}
+        batch = {}
+        for name, shape in self._shapes.items():
+            if name not in parts:
+                raise ValueError(
+                    f"The network '{self.path}' takes {list(self._shapes)}, and the observation has no "
+                    f"'{name}'; give its parts these names, or one vector with 'observe'."
+                )
+            batch[name] = np.asarray(parts[name], dtype=np.float32)[None]
+            own, asked = batch[name].shape[1:], shape[1:]
+            # A dimension that is not a number may have any size.
+            fits = all(not isinstance(size, int) or size == n for size, n in zip(asked, own, strict=False))
+            if len(own) != len(asked) or not fits:
+                raise ValueError(
+                    f"The network '{self.path}' takes '{name}' of shape {asked}, and the observation has "
+                    f"shape {list(own)}; choose its parts with 'observe'."
+                )
+        return self._session.run(None, batch)[0][0]
+
+
 def normalization_of(statistics: Any) -> Normalization | None:
     """Return the statistics of a ``VecNormalize`` or of its file, which is a pickle; ``None`` for none."""
     if isinstance(statistics, str | Path):
@@ -132,10 +187,12 @@ def portable(policy: Any, *, statistics: Any = None, trusted: bool = False) -> A
         ValueError: If it is no policy, or its file is not there.
         PolicyFileError: If a zip of Stable-Baselines3 is not trusted.
     """
-    if isinstance(policy, Path) or (isinstance(policy, str) and policy.endswith(".zip")):
+    if isinstance(policy, Path) or (isinstance(policy, str) and policy.endswith((".zip", ".onnx"))):
         policy = str(policy)
         if policy.endswith(".zip"):
             policy = load_sb3(Path(policy), trusted=trusted)
+        elif policy.endswith(".onnx"):
+            policy = OnnxPolicy(policy)
     if hasattr(policy, "predict") and hasattr(policy, "policy"):
         found = statistics if statistics is not None else policy.get_vec_normalize_env()
         return Sb3Policy(policy.policy, normalization_of(found))
@@ -193,6 +250,8 @@ def fingerprint(given: Any, env_id: str = "") -> str:
     """
     if isinstance(given, str):
         return controller_hash(given, env_id) or given
+    if isinstance(given, OnnxPolicy):
+        return sha256(Path(given.path).read_bytes()).hexdigest()[:_DIGITS]
     module = getattr(given, "policy", getattr(given, "module", given))
     if hasattr(module, "state_dict"):
         digest = sha256()

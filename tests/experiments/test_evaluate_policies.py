@@ -1,6 +1,10 @@
-"""Policies of any kind in one engine: names and files, Stable-Baselines3, torch."""
+"""Policies of any kind in one engine: names and files, Stable-Baselines3, torch, ONNX."""
 
+import json
+import pickle
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import _biped
@@ -132,6 +136,69 @@ def test_a_torch_module_answers_one_observation():
     assert rows["digest"].nunique() == 2
     other = torch.nn.Sequential(torch.nn.Linear(2, 4), torch.nn.Tanh())
     assert fingerprint(portable(module)) != fingerprint(portable(other))
+
+
+class Session:
+    """onnxruntime's session of a network that adds its inputs, of which a file holds the sizes by name."""
+
+    def __init__(self, path: str, providers: list[str]) -> None:
+        try:
+            self.sizes = json.loads(Path(path).read_text())
+        except ValueError as error:
+            raise Unreadable("no protobuf") from error
+
+    def get_inputs(self) -> list[Any]:
+        return [SimpleNamespace(name=name, shape=["batch", size]) for name, size in self.sizes.items()]
+
+    def run(self, _: None, batch: dict[str, np.ndarray]) -> list[np.ndarray]:
+        assert set(batch) == set(self.sizes)
+        return [sum(part[:, :1] for part in batch.values()) * np.ones(4)]
+
+
+class Unreadable(Exception):  # noqa: N818 - as onnxruntime's, whose errors are no RuntimeError
+    pass
+
+
+@pytest.fixture
+def onnxruntime(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stand in for the package, which is large and not needed for anything else."""
+    errors = dict.fromkeys(("Fail", "InvalidGraph", "InvalidProtobuf", "NotImplemented"), Unreadable)
+    inner = SimpleNamespace(onnxruntime_pybind11_state=SimpleNamespace(**errors))
+    monkeypatch.setitem(sys.modules, "onnxruntime", SimpleNamespace(InferenceSession=Session, capi=inner))
+    monkeypatch.setitem(sys.modules, "onnxruntime.capi", inner)
+
+
+@pytest.mark.usefixtures("onnxruntime")
+def test_an_onnx_network_gets_one_vector_or_parts_by_name(tmp_path: Path) -> None:
+    vector, named = tmp_path / "vector.onnx", tmp_path / "named.onnx"
+    vector.write_text('{"observation": 2}')
+    named.write_text('{"cop": 2, "vgrf": null}')
+    assert evaluate(_biped.make, vector, observe=("cop",), **FEW).rows["digest"].nunique() == 2
+    policy = pickle.loads(pickle.dumps(portable(named)))
+    seen = {"cop": np.array([0.25, 0.0]), "vgrf": np.array([0.5, 0.0]), "state": np.zeros(3)}
+    np.testing.assert_array_equal(policy(seen), 0.75 * np.ones(4))
+    before = fingerprint(portable(named))
+    named.write_text('{"cop": 2}')
+    assert fingerprint(portable(named)) != before
+    with pytest.raises(ValueError, match=r"takes 'cop' of shape \[2\], and the observation has shape \[3\]"):
+        portable(named)({"cop": np.zeros(3)})
+    with pytest.raises(ValueError, match="the observation has no 'cop'; give its parts these names"):
+        portable(named)({"state": np.zeros(3)})
+    named.write_text("no network")
+    with pytest.raises(ValueError, match="cannot be opened as an ONNX network: no protobuf"):
+        portable(named)
+    with pytest.raises(ValueError, match=r"There is no policy file 'gone\.onnx'"):
+        portable("gone.onnx")
+
+
+def test_an_onnx_network_names_the_package_that_it_needs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "model.onnx"
+    path.write_text("{}")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ValueError, match=r"needs onnxruntime .*: pip install onnxruntime"):
+        portable(path)
 
 
 def test_functions_that_differ_have_other_hashes():
