@@ -100,8 +100,7 @@ class Model:
             published: Scales, offsets and drift, by which the point o is found, shape (M,).
             lasting: Variance of each channel's force in W^2 that lasts and that no unknown stands for,
                 shape (K,).
-            spare: How forces are made of those of the channels that are not out, shape (K, K); ``None`` where
-                none is.
+            spare: Map of the forces of channels in use to all forces, shape (K, K), or ``None`` if all are.
         """
         columns, dt = self._columns, block.dt
         T, C = block.duration, columns.components
@@ -113,10 +112,8 @@ class Model:
         height = float((com[:, 2] - point[2]).mean())
         own = self._of_channels(sole - point, rotation)
         unit = own if spare is None else own @ spare
-        gravity, along = self._weigh(com - point)
-        heading = _heading(rotation)
+        (gravity, along), heading = self._weigh(com - point), _heading(rotation)
         summed = np.einsum("nck,nk->nc", unit, force)
-        velocity = block.velocity.mean(axis=0)
         # Share of the block after the beginning of a sample's interval: all of it for the first.
         after = np.cumsum(dt[::-1])[::-1] / T
 
@@ -130,7 +127,7 @@ class Model:
             H[:, columns.talk] = np.einsum("nck,nk->ck", weighted[:, :, self.talk_to], shown)
             H[:, columns.com] = share.sum() * along @ heading
             H[:, columns.mass] = (share @ summed)[:, None]
-            H[:, columns.delay] = -share.sum() * (along @ velocity[:2])[:, None]
+            H[:, columns.delay] = -share.sum() * (along @ block.velocity.mean(axis=0)[:2])[:, None]
             H[:, columns.momentum] = np.eye(C)
             H[:, columns.wrench] = share.sum() * np.eye(C)
             return H, share @ gravity

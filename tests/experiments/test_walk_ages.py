@@ -98,7 +98,7 @@ def test_a_result_that_is_worse_than_its_start_is_found(walks: dict[str, Log]) -
     assert "centre of pressure" in found.reason
     assert "(start " in found.reason
     (found,) = compare_with_start(log, initial, made_worse(log, 2.0))
-    assert re.search(r"force \d+ % of the weight \(start \d", found.reason)
+    assert re.search(r"force [\d.]+ % of the weight \(start \d", found.reason)
 
 
 def test_a_worse_result_is_not_written(
