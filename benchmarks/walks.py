@@ -49,7 +49,7 @@ from surefoot.experiments.study.tables import (
 )
 from surefoot.experiments.walks.figures import error_curves
 from surefoot.experiments.walks.record import CONDITIONS, Condition, record_walk
-from surefoot.experiments.walks.score import running_rmse
+from surefoot.experiments.walks.score import running_errors
 from surefoot.experiments.walks.walkers import STAND_TIME
 from surefoot.sensors import Fault, ForceTorque, LoadCells, apply_faults
 from surefoot.sensors.presets import HX711_LOAD_CELLS, resolve
@@ -241,12 +241,9 @@ def score(walk: Walk, methods: tuple[str, ...]) -> bench.Rows:
             played = play(stream, method, **scenario.options_of(method))
             found["scores"].append(row | score_run(stream, played))
             if scenario.name in DRAWN:
-                running = running_rmse(stream.log.time, stream.errors(played.force).cop)
-                every = max(round(SLICE / stream.log.dt), 1)
-                found["errors"] += [
-                    {**row, "seed": walk.seed, "time": float(moment), "cop": float(value)}
-                    for moment, value in zip(stream.log.time[::every], running[::every], strict=True)
-                ]
+                cop = stream.errors(played.force).cop
+                errors = running_errors(stream.log.time, cop, SLICE)
+                found["errors"] += [row | {"seed": walk.seed} | error for error in errors]
     return found
 
 
@@ -380,8 +377,8 @@ def depends(walk: Walk, methods: tuple[str, ...]) -> Any:
 def main() -> None:
     """Record the walks, score the methods, and write the tables."""
     parser = bench.options(__doc__, "walking", 10)
-    parser.add_argument("--scenario", action="append", default=[], help="by default all; again for more")
-    parser.add_argument("--method", action="append", default=[], help="or module:name; again for more")
+    parser.add_argument("--scenario", action="append", default=[], help="all by default, repeatable")
+    parser.add_argument("--method", action="append", default=[], help="or module:name, repeatable")
     given = parser.parse_args()
     for method in given.method:
         method_entry(method)

@@ -24,7 +24,7 @@ from surefoot.experiments.walks.figures import error_curves
 from surefoot.experiments.walks.loop import Walk
 from surefoot.experiments.walks.record import record_walk
 from surefoot.experiments.walks.replay import replay_log, starting_map
-from surefoot.experiments.walks.score import errors_of, running_rmse, score_forces
+from surefoot.experiments.walks.score import errors_of, running_errors, score_forces
 from surefoot.experiments.walks.video import FILM, STILL, join_reels, prepare_rendering, shoot_walk
 from surefoot.experiments.walks.walkers import STAND_TIME
 
@@ -85,19 +85,15 @@ def record_and_replay(seed: int, duration: float, settle: float, folder: Path) -
     assert log.truth is not None
     write_log(log, folder / f"walk_seed{seed}.parquet")
     poses: Any = {"position_sole": log.truth.position_sole, "R_world_sole": log.truth.R_world_sole}
-    scores, errors, every = [], [], max(round(SLICE / log.dt), 1)
+    scores, errors = [], []
     for method in METHODS:
         force = replay_log(log, method, starting_map(log)).force
         known: Any = {"layout": log.layout, **poses}
         score = score_forces(force, log.truth.force, time=log.time, settle=settle, **known)
         about = {"seed": seed, "method": method}
         scores.append(about | score._asdict())
-        running = running_rmse(log.time, errors_of(force, log.truth.force, **known).cop)
-        errors += [
-            {**about, "time": float(time), "cop": float(value)}
-            for time, value in zip(log.time[::every], running[::every], strict=True)
-            if time > STAND_TIME
-        ]
+        cop = errors_of(force, log.truth.force, **known).cop
+        errors += [about | row for row in running_errors(log.time, cop, SLICE) if row["time"] > STAND_TIME]
     return {"scores": scores, "errors": errors}
 
 
@@ -183,7 +179,7 @@ def _write(
     )
     caption = "Share of walks on their feet over time (Kaplan and Meier) with 95 % bands."
     log = sorted((out / "logs").glob("*.parquet"))[-1]
-    view = f"surefoot view --feed none --severity {SEVERITY:g} --speed {SPEED:g} --seed 0 --video walk.mp4"
+    view = f"surefoot view --feed none --severity {SEVERITY:g} --speed {SPEED:g} --seed 0"
     sections = [
         Section("closed-loop", "Who falls when", figures=(ReportFigure(standing, "Survival", caption),)),
         *failure_section(failures),

@@ -148,3 +148,11 @@ def running_rmse(time: Floats, error: Floats) -> Floats:
     square = pd.Series(np.where(np.isfinite(error), error, np.nan) ** 2, pd.to_timedelta(time, unit="s"))
     mean = square.rolling(pd.Timedelta(RUNNING, unit="s"), min_periods=1).mean().to_numpy()
     return np.where(time >= time[0] + RUNNING, np.sqrt(np.maximum(mean, 0.0)), np.nan)
+
+
+def running_errors(time: Floats, error: Floats, interval: float) -> list[dict[str, float]]:
+    """Return ``time`` and the running error ``cop``, one row per ``interval`` in s of evenly spaced times."""
+    every = max(round(interval / float(time[1] - time[0])), 1)
+    running = running_rmse(time, error)
+    rows = zip(time[::every], running[::every], strict=True)
+    return [{"time": float(moment), "cop": float(value)} for moment, value in rows]
