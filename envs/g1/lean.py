@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Floats
 from surefoot.checks import check_count
 from surefoot.envs.g1.robot import LIFTS, Measured, Stance, StandingG1
+from surefoot.envs.gait.swing import minimum_jerk
 from surefoot.envs.instrumentation.means import MeanTruth
 from surefoot.envs.options import check_action, check_range, check_render_mode, positive
 from surefoot.envs.rendering import DrawnEnv, SceneRenderer
@@ -196,8 +197,7 @@ class LeanEnv(DrawnEnv):
         It moves the common centre of mass of robot and load to the goal. It is made of truth: to imitate in
         training, and nothing for a policy to see.
         """
-        data, (mass, place) = self.data, self._load
-        load = data.xpos[self._torso] + data.xmat[self._torso].reshape(3, 3) @ place
+        data, mass, load = self.data, self._load[0], self._load_position()
         robot = self.g1.robot.weight / self.g1.robot.gravity
         com = (robot * data.subtree_com[self.g1.robot.torso, :2] + mass * load[:2]) / (robot + mass)
         action: Floats = EXPERT_RATE / FASTEST * (self._goal[:2] - com)
@@ -303,22 +303,26 @@ class LeanEnv(DrawnEnv):
     def _command(self, time: float) -> tuple[Stance, Floats]:
         """Return the commanded stance, and the goals of the CoP now and at the end of the move, (4,)."""
         move = next((move for move in self.moves if time < move.end), self.moves[-1])
-        t = min(max(1.0 - (move.end - time) / move.duration, 0.0), 1.0)
-        s = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+        s = minimum_jerk(1.0 - (move.end - time) / move.duration)
         goal, lift = (way[0] + s * (way[1] - way[0]) for way in (move.com, move.lift))
         self._used = move.share
         return Stance(goal + self._offset, np.zeros(2), lift), np.concatenate([goal, move.com[1]])
 
     def _carry(self) -> None:
         """Let the load hang on the torso; the robot takes it over gradually."""
-        (mass, place), data, torso = self._load, self.data, self._torso
+        mass, data, torso = self._load[0], self.data, self._torso
         force = (
             mass
             * float(self.model.opt.gravity[2])
             * min(max((self.time - self.stand_time) / HANDOVER, 0.0), 1.0)
         )
-        arm = data.xpos[torso] + data.xmat[torso].reshape(3, 3) @ place - data.xipos[torso]
+        arm = self._load_position() - data.xipos[torso]
         data.xfrc_applied[torso] = 0.0, 0.0, force, arm[1] * force, -arm[0] * force, 0.0
+
+    def _load_position(self) -> Floats:
+        """Return the position of the load in the world in m, shape (3,)."""
+        position, R = self.data.xpos[self._torso], self.data.xmat[self._torso].reshape(3, 3)
+        return np.asarray(position + R @ self._load[1])
 
     def _end_step(self, rows: Floats) -> tuple[Floats, dict[str, Any]]:
         """Measure, and return the observation and ``info``."""
