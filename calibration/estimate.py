@@ -26,6 +26,15 @@ class Flag(IntFlag):
         flag._value_, flag.words = value, words
         return flag
 
+    @property
+    def label(self) -> str:
+        """The names of the flags for a figure or a page.
+
+        >>> (Flag.DEAD | Flag.OUT_OF_RANGE).label
+        'out of range, dead'
+        """
+        return ", ".join(str(flag.name).lower().replace("_", " ") for flag in self)
+
     @classmethod
     def _missing_(cls, value: object) -> "Flag":
         return cls(int(value)) if isinstance(value, np.integer) else super()._missing_(value)

@@ -65,15 +65,6 @@ def close_server(server: viser.ViserServer) -> None:
         server.stop()
 
 
-def words(flag: Flag) -> str:
-    """Return flags in words.
-
-    >>> words(Flag.DEAD | Flag.LOST)
-    'dead, lost'
-    """
-    return ", ".join(str(part.name).lower().replace("_", " ") for part in flag)
-
-
 class Scene:
     """Draws the ground and the feet of one sample, seen by a camera behind the robot.
 
@@ -142,7 +133,7 @@ class Scene:
         for i, label in enumerate(self._labels):
             wrong = Flag(int(now.flags[i])) & ~HARMLESS
             label.visible = bool(wrong)
-            text = f"{self._names[i]}: {words(wrong)}"
+            text = f"{self._names[i]}: {wrong.label}"
             if wrong and label.text != text:
                 label.text = text
             label.position = tops[i] + _up(0.25 * self._size)
@@ -246,7 +237,7 @@ class Meters:
         cells = "".join(f"<tr>{''.join(f'<td>{escape(part)}</td>' for part in row)}</tr>" for row in rows)
         heads = "".join(f'<th style="color:{_css(way)}">■ {way}</th>' for way in WAYS)
         named = zip(self._channels, now.flags, strict=True)
-        wrong = "; ".join(f"{name} {words(Flag(int(flag)))}" for name, flag in named if flag)
+        wrong = "; ".join(f"{name} {Flag(int(flag)).label}" for name, flag in named if flag)
         flagged = f'<b style="color:#c92a2a">{escape(wrong)}</b>' if wrong else "nothing"
         above = "".join(f"<div>{escape(line)}</div>" for line in lines if line)
         return (

@@ -119,7 +119,7 @@ def flags_over_time(path: Path, facts: Facts) -> Path | None:
     log, flags = facts.log, np.asarray(facts.estimate.flags)
     lines: list[tuple[str, NDArray[np.bool_]]] = []
     for flag in Flag:
-        raised, label = (flags & flag.value) != 0, str(flag.name).lower().replace("_", " ")
+        raised, label = (flags & flag.value) != 0, flag.label
         if raised.any() and (raised == raised[:, :1]).all():
             lines.append((label, raised[:, 0]))
             continue
