@@ -2,6 +2,7 @@
 
 import math
 import socket
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ MOST_AT_ONCE = 1000  # packets that are read between two frames; others wait for
 QUIET = 1.0  # s without a row after which the page reports it
 
 
-class RowFeet:
+class RowFeet(ABC):
     """Feet that are read in up to three ways, one row at a time.
 
     Attributes:
@@ -88,14 +89,14 @@ class RowFeet:
             position, R = self._soles
             self.shown = show_feet(time - self._origin, position, R, estimate, calibrated, true)
 
+    @abstractmethod
     def advance(self, passed: float) -> None:
         """Take the rows that are due after a time in s."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def status(self) -> str:
         """The position in the log or stream, in words."""
-        raise NotImplementedError
 
     def _check_alone(self, method: str, alone: bool) -> None:
         if alone and method not in NEED_NO_ROBOT:
