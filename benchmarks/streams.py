@@ -7,14 +7,14 @@ columns:
   ``offset`` is the force in N that is estimated for a channel without load.
 * ``worse_cop``, ``worse_cop_foot``, ``worse_vgrf``: whether the error over the end of the walk, at most 10 s,
   exceeds that of the starting map.
-* ``nees_end``: the squared error of all scales and offsets at the last look, over the claimed covariance and
-their
-  number ``parameters``, so that 1 is right; NaN for a method that claims no covariance.
+* ``nees_end``: the squared error of all scales and offsets at the end of the walk, divided by its claimed
+  covariance and by their number ``parameters``. It is 1 for a covariance that is right, and NaN for a method
+  without a covariance.
 * ``alarms``, ``hours``: how often the flag of a fault rose on a channel without one, and the duration of
-walking. * ``found``, ``isolated``, ``named``, ``after``, ``after_foot``: with a fault, the time in s until
-any of those flags
-  rose; whether the channels that are flagged up to 1 s later are exactly the faulty ones; whether the flag
-  names the fault; and the CoP errors from 1 s after the fault on.
+  walking.
+* ``found``, ``isolated``, ``named``, ``after``, ``after_foot``: with a fault, the time in s until any of
+  those flags rose, whether the channels that are flagged up to 1 s later are exactly the faulty ones, whether
+  the flag names the fault, and the CoP errors later than 1 s after the fault.
 """
 
 from collections.abc import Sequence

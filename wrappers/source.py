@@ -33,7 +33,7 @@ FRESH_OR_KEPT = ("fresh", "keep")
 class Source(Protocol):
     """An environment that records ground truth: one of surefoot, or any other inside InstrumentedEnv."""
 
-    truth: Any  # of the last control step, for example :class:`~surefoot.envs.Truth`
+    truth: Any  # of the last control step, its class is the environment's
     drawing: RobotDrawing  # the manufacturer's drawing of the robot
     joint_names: tuple[str, ...]  # the J hinge joints
     dt: float  # duration of a control step in s

@@ -37,7 +37,3 @@ def fleet(seeds, speeds=(0.02, 0.04, 0.1), faults=BAD, **options):
 
 def calibrated(raw, reference, faults=BAD, name="moment", **options):
     return replay(LAYOUT, name, raw, reference, DT, mass=believed_mass(faults), initial=NOMINAL, **options)
-
-
-def rows_between(reference, start, end):
-    return Reference(*(part[start:end] for part in reference))
