@@ -36,9 +36,7 @@ class TareState(NamedTuple):
     moved: Array  # by how much readings have moved since while the robot stood still, in W, shape (K,)
     time: Array  # when it ended in s, -1 before the first, shape (F,)
     sure: Array  # probability that the foot was unloaded then, shape (F,)
-    offered: (
-        Array  # mean reading of each channel in the last swing that was taken for a load in W, shape (K,)
-    )
+    offered: Array  # mean reading in W of each channel in the last block taken for a load, shape (K,)
     offer: Array  # probability that it was the zero, shape (F,)
     rough: Array  # roughness of the readings of an unloaded foot, 1 as stated, shape (F,)
     rate: float  # by how many times sensors drift faster than stated

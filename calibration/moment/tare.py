@@ -19,10 +19,11 @@ or under a rolling sole such a foot may bear load. Whether it does is a matter o
   upwards.
 
 A row enters with the variance that it may be loaded after all, so that a doubtful tare changes little. The
-zero in use has a probability of its own, and a likelier one replaces it: readings of a swing that was taken
-for a load become the zero if the next swing repeats them. If a zero that no second swing has confirmed turns
-out to be too high, the foot was loaded, and the filter begins again. From tare to tare the readings show how
-fast zeros drift, and scales are assumed to drift in proportion.
+zero in use has a probability of its own, and a likelier one replaces it: readings of a block that was taken
+for a load become the zero if the next block in swing repeats them. That includes blocks of the same swing, so
+that the constant load of a foot wrongly reported in swing can be taken for the zero. If a zero that no second
+swing has confirmed turns out to be too high, the foot was loaded, and the filter begins again. From tare to
+tare the readings show how fast zeros drift, and scales are assumed to drift in proportion.
 """
 
 from collections.abc import Iterator
@@ -194,12 +195,12 @@ class Tare:
         Args:
             at: The foot's channels, shape (m,).
             change: Change of their readings since the last tare in W, shape (m,).
-            repeated: Change since the last swing that was taken for a load in W, shape (m,).
+            repeated: Change since the last block that was taken for a load in W, shape (m,).
             walked: Variance of a change by drift and noise in W^2, shape (m,).
             rough: Roughness of the readings.
             smooth: Roughness without load.
             sure: Probability that the zero in use is right.
-            offer: Probability that the swing that was taken for a load showed the zero.
+            offer: Probability that the block that was taken for a load showed the zero.
         """
         count, over, sure = len(at), rough / smooth, sure * (1.0 - ZERO_JUMP)
         flat = np.exp(-0.5 * count * (over - 1.0 - np.log(over)) - 0.5 * (np.log(smooth) / NOISE_SPREAD) ** 2)
