@@ -15,7 +15,7 @@ from setuptools.command.build_py import build_py
 ROOT = Path(__file__).parent
 BUILD = runpy.run_path(str(ROOT / "native" / "build.py"))
 LIBRARIES = list(BUILD["sources_below"](ROOT))
-# `make wheels` names the platform of each wheel; without, it is this machine's.
+# `make wheels` sets the platform of each wheel. The default is the platform of this machine.
 PLATFORM = os.environ.get("SUREFOOT_PLATFORM")
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PROJECT, HOMES = SETTINGS["project"], SETTINGS["tool"]["setuptools"]["package-dir"]
@@ -33,18 +33,18 @@ def packages() -> list[str]:
 
 
 def place(sources: Any) -> Path:
-    """Return where a library lies in a wheel."""
+    """Return the path of a library in a wheel."""
     return Path("surefoot", "native", sources.name + BUILD["ending"](PLATFORM))
 
 
 def is_current(sources: Any) -> bool:
-    """Return whether the library beside the sources was compiled from them."""
+    """Return whether the library in the folder of the sources was compiled from them."""
     library = sources.library
     return library.is_file() and sources.fingerprint().encode() in library.read_bytes()
 
 
 def readme() -> str:
-    """Return README.md for where there are no files beside it: with links to this version."""
+    """Return README.md for package indexes, with its relative links replaced by links to this version."""
     home, tag = PROJECT["urls"]["Repository"], f"v{PROJECT['version']}"
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     text = text.replace("](docs/images/", f"]({home}/raw/{tag}/docs/images/")
@@ -52,17 +52,17 @@ def readme() -> str:
 
 
 class BuildWithLibraries(build_py):
-    """Copies the package and compiles its libraries beside it; into the checkout for an editable install."""
+    """Copies the package and compiles its libraries. Those of an editable install go into the checkout."""
 
     def run(self) -> None:
-        """Build the package, and the libraries if that can be."""
+        """Build the package, and the libraries if there is a C compiler."""
         super().run()
         with ThreadPoolExecutor() as pool:  # compilers are processes of their own, one per library
             for said in pool.map(self.compile_library, LIBRARIES):
                 print(said)
 
     def compile_library(self, sources: Any) -> str:
-        """Compile a library unless another environment of this checkout has done it; say what was done."""
+        """Compile a library unless another environment of this checkout has, and return a message."""
         if self.editable_mode and is_current(sources):
             return f"{sources.name} is current"
         target = sources.library if self.editable_mode else Path(self.build_lib, place(sources))
@@ -75,7 +75,7 @@ class BuildWithLibraries(build_py):
 
 
 class WheelOfOnePlatform(bdist_wheel):
-    """A wheel with libraries serves every Python 3 of one platform; one without serves all platforms."""
+    """Tags a wheel with libraries for Python 3 on one platform, and a wheel without for all platforms."""
 
     def get_tag(self) -> tuple[str, str, str]:
         """Return Python, ABI and platform of the wheel."""
@@ -87,7 +87,7 @@ class WheelOfOnePlatform(bdist_wheel):
 
 setup(
     packages=packages(),
-    # What pip brings for the time of the build; no setting of pyproject.toml can ask for a compiler.
+    # pip installs these for the build. A compiler cannot be required conditionally in pyproject.toml.
     setup_requires=BUILD["requirements"](),
     cmdclass={"build_py": BuildWithLibraries, "bdist_wheel": WheelOfOnePlatform},
     long_description=readme(),

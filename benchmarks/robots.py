@@ -6,10 +6,10 @@
 
 Robots stand, exercise, shake and fall on emulated feet: load cells of the robot's size whose scales are off
 by 12 %, or six-axis sensors in the ankles. All methods get the same readings and the same state estimates of
-the robot. Errors are root mean squares over a run from the first second on, falls included: of the centre of
-pressure of each foot in its sole's frame, while the foot bears a tenth of the robot's weight, and of the
-vertical force of both feet. Where an estimate has no centre of pressure the last one is held. Most robots
-need ``pip install surefoot[robots]``; without it, only those of Gymnasium are run.
+the robot. Errors are root mean squares over a run without its first second, including falls: of the centre of
+pressure of each foot in its sole's frame, while the foot carries a tenth of the robot's weight, and of the
+vertical force of both feet. Where the centre of pressure of an estimate is undefined, the last one is held.
+Most robots need ``pip install surefoot[robots]``. Without it, only the robots of Gymnasium are run.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,8 +33,8 @@ from surefoot.wrappers import FootSensors, SelfCalibration
 
 METHODS = ("none", "tare", "window", "moment")
 SENSORS: Mapping[str, Any] = {"load cells": None, "ankle sensors": "icub-force-torque"}
-BEGIN = 1.0  # s from which errors count
-BEARS = 0.1  # share of the weight from which a foot's centre of pressure counts
+BEGIN = 1.0  # s at the start of a run without a score
+BEARS = 0.1  # minimum load of a foot, as a share of the weight, for its centre of pressure to count
 _STREAM = 0x20B07  # of actions
 
 
@@ -52,7 +52,7 @@ class Motion:
         return not self.robot.endswith("-v5")
 
     def env(self) -> gym.Env[Any, Any]:
-        """Make the environment, with soles under feet that have no area."""
+        """Make the environment, with soles added to point feet."""
         if not self.packaged:
             seen = {"include_cfrc_ext_in_observation": False} if "Humanoid" in self.robot else {}
             env = gym.make(self.robot, **seen)
@@ -77,7 +77,7 @@ MOTIONS = (
     Motion("Walker2d-v5", "falling, small actions", 0.3),
     Motion("HumanoidStandup-v5", "lying, small actions", 0.12),
 )
-"""Servos hold the robots of the package, three of which can exercise."""
+"""Servos hold the posture of the robots of the package. Three of these robots also exercise."""
 
 
 def score(motion: Motion, sensors: str, seed: int, duration: float) -> bench.Rows:
@@ -118,7 +118,7 @@ def _run(motion: Motion, sensors: str, seed: int, duration: float, method: str) 
 
 
 def _stand_up(env: gym.Env[Any, Any]) -> mujoco.MjSpec:
-    """Return the robot of HumanoidStandup-v5, which lies, with a keyframe in which its soles are measured."""
+    """Return the robot of HumanoidStandup-v5, which lies, with an upright keyframe to measure its soles."""
     bare: Any = env.unwrapped
     spec = mujoco.MjSpec.from_file(bare.fullpath)
     pose = bare.model.qpos0.copy()
@@ -147,7 +147,7 @@ def harm_table(scores: Frame) -> Table:
 
 
 def robot_table(scores: Frame, sensors: str) -> Table:
-    """Return the errors with one kind of sensors, after which the table is named."""
+    """Return the table of errors with one kind of sensors."""
 
     def error(column: str, method: str, factor: float) -> Cell:
         return lambda runs: with_interval(runs[runs["method"] == method][column], factor)

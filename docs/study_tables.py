@@ -1,9 +1,9 @@
-"""Tables of studies: their data lie in docs/data, and the site shows them where a page names them.
+"""Tables of studies, which are stored in docs/data and shown on pages of the site.
 
     python docs/study_tables.py out/results
 
-takes the tables that pages name from where the studies wrote them, and fills in README's. A page names a
-table. It may name columns, and patterns of the first cell of rows, parted by bars:
+copies the tables that pages use from the folder of the results, and updates the table in the README. A page
+gives the name of a table, and optionally columns and patterns of the first cell of rows, separated by bars:
 
     ```{study-table} walking/overview
     :columns: scenario | moment
@@ -12,7 +12,7 @@ table. It may name columns, and patterns of the first cell of rows, parted by ba
     ```
 
 Figures are links such as ``data/walking/NAME.svg``.
-``made.json`` beside the data says by which command, with which version and when they were made.
+``made.json`` in the folder of the data contains the command, the version and the date of the results.
 """
 
 import csv
@@ -60,7 +60,7 @@ class StudyTable(NamedTuple):
     """Cells of a table, headings first, and what made it.
 
     Attributes:
-        lines: Its cells; the first line has the headings.
+        lines: Its cells. The first line contains the headings.
         command: The command that repeats it.
         version: The software, and the date.
     """
@@ -71,12 +71,12 @@ class StudyTable(NamedTuple):
 
 
 def read_table(data: Path, name: str, columns: str = "", rows: str = "") -> StudyTable:
-    """Read a table, or some of its columns and rows, parted by bars.
+    """Read a table, or some of its columns and rows, separated by bars.
 
-    A heading that the file has twice may be named twice.
+    A heading that occurs twice in the file may be given twice.
 
     Raises:
-        ValueError: If there is no such file, column or row.
+        ValueError: If the file, a column or a row does not exist.
     """
     path = data / f"{name}.csv"
     for file in (path, path.with_name(MADE)):
@@ -130,7 +130,7 @@ class StudyTableDirective(CSVTable):  # type: ignore[misc]
         return [*super().run(), made]
 
     def get_csv_data(self) -> tuple[list[str], str]:
-        """Cells as CSV, in which no letter means anything to Markdown."""
+        """Return the cells as CSV with Markdown's special characters escaped."""
         lines = ([_escape(cell) for cell in line] for line in self.study_table.lines)
         return [",".join(f'"{cell}"' for cell in line) for line in lines], self.arguments[0]
 
@@ -141,14 +141,14 @@ def _escape(cell: str) -> str:
 
 
 def tables_on_pages(folder: Path) -> Iterator[tuple[Path, str, dict[str, str]]]:
-    """Page, name, and columns and rows of each table that the pages below a folder name."""
+    """Return page, name, and options of each table on the pages in a folder."""
     for page in sorted(folder.rglob("*.md")):
         for block in _BLOCK.finditer(page.read_text(encoding="utf-8")):
             yield page, block[1], dict(re.findall(r"^:(\w+): *(.*)$", block[2], re.MULTILINE))
 
 
 def figures_on_pages(folder: Path) -> set[tuple[str, str]]:
-    """Folder and name of each figure of docs/data to which pages below a folder link."""
+    """Return folder and name of each figure in docs/data that pages in a folder link."""
     texts = (page.read_text(encoding="utf-8") for page in folder.rglob("*.md"))
     return {figure for text in texts for figure in _FIGURE.findall(text)}
 
@@ -179,7 +179,7 @@ def _bold(cells: Sequence[str]) -> list[str]:
 
 
 def main(results: Path) -> None:
-    """Take tables and figures that pages name from results, a study as a whole, and fill in README's table.
+    """Copy the tables and figures that pages use from the results, whole studies only, and update the README.
 
     Raises:
         ValueError: If a study wrote some of its tables and figures and not the others.
@@ -208,7 +208,7 @@ def main(results: Path) -> None:
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Have Sphinx know the directive."""
+    """Register the directive with Sphinx."""
     app.add_directive("study-table", StudyTableDirective)
     return {"parallel_read_safe": True}
 

@@ -19,23 +19,23 @@ DEFAULT: Final = ("foot_force", "cop_foot", "cop", "cop_valid")
 CERTAINTY: Final = ("foot_force_std", "cop_std")  # parts that only a method with a covariance has
 
 DETERMINED: Final = ("contact_probability", "undetermined")
-"""Parts of a method that weighs how likely a foot bears load, and says what it could not determine."""
+"""Parts of methods that estimate the probability of contact and the undetermined share of scales."""
 
 RAW: Final = "foot_raw"
-"""Counts, which :class:`~surefoot.wrappers.FootSensors` shows: millions, hidden unless they are asked for."""
+"""Counts of :class:`~surefoot.wrappers.FootSensors`. They are in the millions, and hidden by default."""
 
 ALIGNED: Final = ("foot_force_aligned", "cop_foot_aligned", "cop_aligned")
 """Values of all channels at one common moment, ``FootCalibrator.aligned_lag`` samples ago."""
 
 ALL, STD, ALL_ALIGNED, EACH = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, None)
-"""Where :attr:`FootView.held` has its parts: single feet come last, aligned ones behind the others."""
+"""Slices of the parts of :attr:`FootView.held`. In ``EACH``, aligned values follow the others."""
 
 PARTS: Final = (*DEFAULT, "foot_load", RAW, "wrench", "vgrf", *CERTAINTY, *DETERMINED, *ALIGNED, "foot_flags")
-"""All that can be shown."""
+"""All parts that can be shown."""
 
 
 def check_parts(parts: Sequence[str]) -> None:
-    """Raise ValueError if a part does not exist, is named twice, or there is none of calibrated feet."""
+    """Raise ValueError if a part does not exist, a name is repeated, or all parts are raw counts."""
     named = isinstance(parts, Iterable) and not isinstance(parts, str)
     if not named or not set(parts) <= set(PARTS) or len(set(parts)) != len(parts) or not set(parts) - {RAW}:
         raise ValueError(
@@ -45,7 +45,7 @@ def check_parts(parts: Sequence[str]) -> None:
 
 
 def flaw_of(layout: FeetLayout, flaw: str) -> str:
-    """Return why feet have no centres of pressure of their own, or ``flaw``, why they have no areas."""
+    """Return why the centres of pressure of single feet are undefined, by default ``flaw``."""
     blind = [foot.name for foot in layout.feet if np.linalg.matrix_rank(foot.wrench_map[2:5]) < 3]
     if blind and not flaw:
         return f"The channels of {blind} do not measure where on the foot forces act."
@@ -53,12 +53,12 @@ def flaw_of(layout: FeetLayout, flaw: str) -> str:
 
 
 def default_parts(flaw: str) -> tuple[str, ...]:
-    """Return the default parts for feet, which may have no centres of pressure of their own."""
+    """Return the default parts, without ``"cop_foot"`` if there is a flaw."""
     return tuple(part for part in DEFAULT if not (flaw and part == "cop_foot"))
 
 
 def drop_counts(observed: Mapping[str, Any], parts: Sequence[str]) -> dict[str, Any]:
-    """Drop counts that nobody asks for from the sensors' observation, or from its space."""
+    """Remove counts from the sensors' observation, or from its space, unless they are among the parts."""
     return {key: part for key, part in observed.items() if key != RAW or RAW in parts}
 
 
@@ -77,24 +77,24 @@ def check_certainty(parts: Sequence[str], method: str) -> None:
 
 
 class FootView:
-    """Makes the feet's part of an observation of estimates, and holds the last valid centres of pressure.
+    """Makes the feet's part of an observation from estimates, and holds the last valid centres of pressure.
 
-    Parts are among :data:`PARTS`; the mass in kg, as the robot believes it, is for the bounds. A flaw says
-    why feet have no centres of pressure of their own. On round feet, which roll, forces act at their lowest
-    points, wherever these are on the feet.
+    Parts are among :data:`PARTS`. The believed mass in kg sets the bounds. ``flaw`` is the reason why the
+    centres of pressure of single feet are undefined, or "". On round feet, which roll, forces act at the
+    lowest points.
 
     Attributes:
         spaces: The space of each part that is calibrated.
         every: The space of each part.
-        flawed: Whether the feet have no centres of pressure of their own.
-        held: The last ones that were defined in m: of all feet, its deviation, and that which is aligned; of
-            each foot, and those which are aligned, (6 + 4 F,).
+        flawed: Whether the centres of pressure of single feet are undefined.
+        held: The last defined centres of pressure in m, shape (6 + 4 F,): that of all feet, its standard
+            deviation, its aligned value, those of each foot, and their aligned values.
         rolls: Whether feet are round.
         force_bound: Largest force that is shown in N.
         weight: The robot's believed weight in N: the unit of ``"foot_load"``.
 
     Raises:
-        ValueError: If a part does not exist, is named twice, or there is none of such feet.
+        ValueError: If a part does not exist, a name is repeated, or such feet do not have the part.
     """
 
     def __init__(

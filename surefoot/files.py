@@ -1,9 +1,9 @@
 """Files are written completely or not at all, and read with limits on their size.
 
-:func:`atomic_path` fills a file beside the target and renames it, so that a full disk or a killed process
-costs the new file and never the old one. Only regular files are replaced, because a rename would also replace
-a device. The file beside the target is locked while it is written. An unlocked one was left by a killed
-process, and the next save to the target removes it.
+:func:`atomic_path` writes to a temporary file in the same folder and renames it, so that a full disk or a
+killed process never damages the old file. Only regular files are replaced, because a rename would also
+replace a device. The temporary file is locked while it is written. If it is not locked, a killed process
+left it behind, and the next save to the target removes it.
 
 The readers check sizes before contents: of a file, of an unpacked archive, and of an array by its header.
 """
@@ -36,12 +36,12 @@ DEEPEST = 64
 """Maximum nesting depth. The formats of this package use fewer than ten levels."""
 
 _OWN = 50
-"""Letters of the target's name in the name of the file beside it, which has at most 255 bytes."""
+"""Letters of the target's name in the name of the temporary file, which has at most 255 bytes."""
 
 
 @contextmanager
 def atomic_path(path: AnyPath) -> Iterator[Path]:
-    """Give a path beside a file, and rename the finished file into place, or remove it after an error.
+    """Yield a temporary path, and rename the finished file into place, or remove it after an error.
 
     Folders are created. If the path is a link, its target is replaced. Raises ValueError if the path is not a
     regular file, OSError if it cannot be written. The old file is unchanged then.
@@ -75,14 +75,14 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
 
 
 def write_text(path: AnyPath, text: str) -> None:
-    """Write a text file atomically, in UTF-8; errors as of :func:`atomic_path`."""
+    """Write a text file atomically in UTF-8, with the errors of :func:`atomic_path`."""
     with atomic_path(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 @contextmanager
 def lock_folder(folder: Path, refusal: Exception) -> Iterator[None]:
-    """Lock a folder while this process uses it; other processes get the error ``refusal``."""
+    """Lock a folder while this process uses it. In other processes the error ``refusal`` is raised."""
     folder.mkdir(parents=True, exist_ok=True)
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     try:
@@ -94,7 +94,10 @@ def lock_folder(folder: Path, refusal: Exception) -> Iterator[None]:
 
 
 def stat_of_file(path: AnyPath, refusal: type[ValueError] = ValueError) -> os.stat_result | None:
-    """Return the status of a regular file, None if there is no file; ValueError for a folder or a device."""
+    """Return the status of a regular file, or None if it does not exist.
+
+    Raises the ``refusal`` for a folder or a device.
+    """
     try:
         status = os.stat(_as_path(path))
     except (FileNotFoundError, NotADirectoryError):
@@ -108,8 +111,8 @@ def stat_of_file(path: AnyPath, refusal: type[ValueError] = ValueError) -> os.st
 def read_text(path: AnyPath, refusal: type[ValueError] = ValueError) -> str:
     """Return a text file in UTF-8, with or without a byte order mark.
 
-    Raises the ``refusal`` if there is no such file, no regular one, a larger one than :data:`LARGEST_TEXT`,
-    or no text in UTF-8.
+    Raises the ``refusal`` if the file does not exist, is not a regular file, is larger than
+    :data:`LARGEST_TEXT`, or is not UTF-8.
     """
     target = Path(_as_path(path))
     name = target.name or str(path)
@@ -125,14 +128,14 @@ def read_text(path: AnyPath, refusal: type[ValueError] = ValueError) -> str:
 
 
 def read_json(path: AnyPath, refusal: type[ValueError] = ValueError) -> Any:
-    """Read a JSON file; errors as of :func:`read_text`, and if it is no JSON."""
+    """Read a JSON file, with the errors of :func:`read_text` and :func:`parse_json`."""
     return parse_json(read_text(path, refusal), Path(path).name, refusal)
 
 
 def parse_json(text: str | bytes, name: str, refusal: type[ValueError] = ValueError) -> Any:
     """Parse a JSON text that messages call ``name``.
 
-    Raises the ``refusal`` if it is no JSON, or nested more than :data:`DEEPEST` levels deep.
+    Raises the ``refusal`` if it is not JSON, or nested more than :data:`DEEPEST` levels deep.
     """
     try:
         return _shallow(json.loads(text))
@@ -141,7 +144,7 @@ def parse_json(text: str | bytes, name: str, refusal: type[ValueError] = ValueEr
 
 
 def read_toml(path: AnyPath, refusal: type[ValueError] = ValueError) -> dict[str, Any]:
-    """Read a TOML file; errors as of :func:`read_text`, and if it is no TOML."""
+    """Read a TOML file. Raises the errors of :func:`read_text`, and the ``refusal`` if it is not TOML."""
     text = read_text(path, refusal)
     try:
         found: dict[str, Any] = _shallow(tomllib.loads(text))
@@ -153,8 +156,9 @@ def read_toml(path: AnyPath, refusal: type[ValueError] = ValueError) -> dict[str
 def read_columns(path: AnyPath, wanted: tuple[str, ...], cure: str) -> dict[str, NDArray[np.float64]]:
     """Return the columns of a CSV file of finite numbers by their names, shape (rows,) each.
 
-    Raises ValueError, with the advice ``cure``, as :func:`read_text`; if a ``wanted`` column is missing, one
-    is there twice, a row is longer or shorter than the names, or a cell is no finite number.
+    Raises the errors of :func:`read_text`. Raises ValueError with the advice ``cure`` if a ``wanted`` column
+    is missing, a column occurs twice, a row has a different length than the names, or a cell is not a finite
+    number.
     """
 
     def refusal(message: str) -> ValueError:
@@ -183,10 +187,10 @@ def read_columns(path: AnyPath, wanted: tuple[str, ...], cure: str) -> dict[str,
 
 
 def read_arrays(path: AnyPath, largest: int) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``.npz`` by their names; nothing in it is executed.
+    """Return the arrays of an ``.npz`` by their names. Nothing in the file is executed.
 
-    All arrays together may unpack to ``largest`` bytes; more is refused before any is unpacked. Raises
-    FileNotFoundError if there is no such file, ValueError if it is no regular one or no such archive.
+    Raises FileNotFoundError if the file does not exist. Raises ValueError if it is not a regular file or not
+    such an archive, or if its arrays need more than ``largest`` bytes, which is checked before unpacking.
     """
     found: dict[str, NDArray[Any]] = {}
     with _archive(path) as archive:
@@ -202,14 +206,14 @@ def read_arrays(path: AnyPath, largest: int) -> dict[str, NDArray[Any]]:
 
 
 def names_in_archive(path: AnyPath) -> list[str]:
-    """Return the names of the files in an archive; errors as of :func:`read_arrays`."""
+    """Return the names of the files in an archive, with the errors of :func:`read_arrays`."""
     with _archive(path) as archive:
         return archive.namelist()
 
 
 @contextmanager
 def _archive(path: AnyPath) -> Iterator[zipfile.ZipFile]:
-    """Open an archive; an error inside is a ValueError that names it."""
+    """Open an archive, and raise errors inside the block as a ValueError that names the archive."""
     target = Path(_as_path(path))
     if stat_of_file(path) is None:
         raise FileNotFoundError(f"{path}: no such file.")
@@ -222,7 +226,7 @@ def _archive(path: AnyPath) -> Iterator[zipfile.ZipFile]:
 
 
 def _array_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArray[Any]:
-    """Return one array, if it is as large as it says."""
+    """Return one array after checking its size against its header."""
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     with archive.open(member) as file:
         shape, _, dtype = read_header[np.lib.format.read_magic(file)](file)
@@ -233,7 +237,7 @@ def _array_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> N
 
 
 def _as_path(path: Any) -> str:
-    """Return a path as a str; TypeError for no path, such as an int: the number of an open file."""
+    """Return a path as a str, or raise TypeError, for example for an int (the number of an open file)."""
     if not isinstance(path, str | PathLike):
         raise TypeError(f"A path must be a str or a Path, got {path!r} of {type(path).__name__}.")
     if "\0" in (text := os.fspath(path)):
@@ -242,7 +246,10 @@ def _as_path(path: Any) -> str:
 
 
 def _lock(file: int) -> bool | None:
-    """Lock an open file until it is closed: True, False if another has it, ``None`` where nobody can."""
+    """Lock an open file until it is closed.
+
+    Returns True, False if another process has locked it, or None where files cannot be locked.
+    """
     if sys.platform == "win32":
         return None
     import fcntl
@@ -257,7 +264,7 @@ def _lock(file: int) -> bool | None:
 
 
 def _remove_left(part: Path) -> None:
-    """Remove a file that a killed process was writing; leave one that is being written."""
+    """Remove a temporary file of a killed process, but not one that is being written."""
     try:
         if sys.platform == "win32":
             part.unlink()  # Refused while it is open.
@@ -273,7 +280,7 @@ def _remove_left(part: Path) -> None:
 
 
 def _shallow(data: Any) -> Any:
-    """Return data that are not nested too deep for whoever walks through them."""
+    """Return the data, or raise RecursionError if they are nested more than :data:`DEEPEST` levels deep."""
     level = [data]
     for _ in range(DEEPEST):
         inner = [list(one.values()) if isinstance(one, dict) else one for one in level]

@@ -22,14 +22,14 @@ class CalibrateFirst(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructo
 
     Args:
         env: An environment with :class:`SelfCalibration` around it.
-        enough: Standard deviation of the centre of pressure in m at which the prelude stops; 0 never stops
-            it.
-        again: Standard deviation in m above which :attr:`wanted` is true; 1.5 times ``enough`` by default.
+        enough: The prelude stops when the standard deviation of the centre of pressure in m falls below this.
+            With 0 the prelude is played to its end.
+        again: Limit of this standard deviation in m for :attr:`wanted`, by default 1.5 times ``enough``.
 
     Raises:
-        TypeError: If there is no :class:`SelfCalibration` below.
-        ValueError: If the environment has no prelude, the calibrator has no covariance, or a number is out of
-            its range.
+        TypeError: If ``env`` does not contain a :class:`SelfCalibration`.
+        ValueError: If the environment lacks a prelude, the calibrator does not report a covariance, or a
+            number is out of its range.
     """
 
     def __init__(self, env: gym.Env[Any, Any], *, enough: float = ENOUGH, again: float | None = None) -> None:
@@ -54,7 +54,7 @@ class CalibrateFirst(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructo
 
     @property
     def wanted(self) -> bool:
-        """Whether the calibrator is no longer certain: the robot should calibrate again."""
+        """Whether the uncertainty has grown above the limit, so that the robot should calibrate again."""
         return not self._certainty.certain
 
     def reset(

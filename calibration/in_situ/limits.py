@@ -1,9 +1,10 @@
 """Limits of checks, each with its unit and its source.
 
-The checks that use them decide; constants of algorithms stand in their own modules. ``accept`` of
-:func:`~surefoot.calibration.in_situ.calibrate_in_situ` passes any limit with a reason. "Sound" is the largest
-value of ten sound logs of ``tests/spoilt/_spoilt_in_situ.py`` (five seeds, with a gyroscope and without),
-beside it are values of its spoilt logs; a limit without a measurement says "chosen".
+These are thresholds of checks only. Constants of algorithms are defined in their own modules. A result beyond
+any limit can be accepted with a reason by ``accept`` of
+:func:`~surefoot.calibration.in_situ.calibrate_in_situ`. "Sound" is the largest value of ten sound logs of
+``tests/spoilt/_spoilt_in_situ.py`` (five seeds, with a gyroscope and without), followed by values of its
+spoilt logs. A limit that was not measured is marked "chosen".
 """
 
 from typing import Self

@@ -1,19 +1,19 @@
-"""Faults of single channels: their signs and their repair.
+"""Detection and repair of faults of single channels.
 
-Four things give a channel away:
+A fault shows in one of four ways:
 
-* **It leaps.** A force that differs from the last one by more than a foot can cause is held for a few
-  samples. Cells of a foot that is not surely on the ground may change far more, as it may land on a corner.
-  Nothing is held while several channels leap within seconds, as those of a robot that bounces do.
-* **It is silent**: no reading arrives, or always the same one while the foot's other channels move.
-* **It bears nothing**: it moves by less than a tenth of what the other cells of its plate say that it bears,
-  and the robot's motion misses that load. So is a cell found that is dead from the start: scales of the
-  others would make up for it.
-* **The robot's motion contradicts it**: see :mod:`surefoot.calibration.moment.suspects`.
+* **The channel jumps.** If the force changes by more than a foot can cause, the last one is held for a few
+  samples. The limit is much higher for cells of a foot that may be landing, possibly on a corner. Nothing is
+  held while several channels jump within seconds, as on a robot that bounces.
+* **The channel is silent.** Readings are missing, or constant while the foot's other channels change.
+* **The channel is idle.** It changes by less than a tenth of the load that the other cells of its plate
+  predict, and the robot's motion needs that load. This also finds a cell that is dead from the start, which
+  the scales of the others would compensate.
+* **The robot's motion contradicts the channel**: see :mod:`surefoot.calibration.moment.suspects`.
 
-A channel that is out is reconstructed (:mod:`surefoot.calibration.moment.stand_in`); flipped and swapped ones
-are put right. The last seconds' learning is dropped then, because it came from wrong
-readings. A channel that agrees with its reconstruction again comes back.
+A lost channel is reconstructed (:mod:`surefoot.calibration.moment.stand_in`). Flipped and swapped channels
+are corrected. The learning of the last seconds is undone, because it used wrong readings. A lost channel is
+used again once it agrees with its reconstruction.
 """
 
 from typing import NamedTuple
@@ -26,60 +26,59 @@ from surefoot.calibration.front_end.readings import MOVING
 from surefoot.calibration.moment.stand_in import StandIn
 from surefoot.calibration.setup import OnlineSetup
 
-LONGEST_LEAP = 3  # samples in a row that a reading may be away before it is believed
+LONGEST_LEAP = 3  # largest number of consecutive samples that are held. A longer jump is a load
 
 USABLE_SCALES = 0.3, 3.0
-"""Least and greatest scale by which leaps and loads are converted, in case the estimate is wrong."""
+"""Bounds of the scale that converts jumps and loads to newtons, in case the estimated scale is wrong."""
 
 _BACK = 0.25
-"""Share of the least leap within which a reading that comes back is where it was: what loads change by in two
-or three samples. One that stays away was a load's."""
+"""Share of the threshold of a jump within which a reading has returned to its former value. Loads change by
+this much in two or three samples. A reading that does not return shows a load."""
 
 _ALONE = 4.0
-"""How many times further than any other cell of its foot a reading must leap to be an error."""
+"""Minimum ratio of the jump of an erroneous reading to that of any other cell of its foot."""
 
 _SPIKE = 0.02
-"""Load in body weights that a reading is away by from both of its neighbours in time to be an error."""
+"""Minimum distance in body weights of a spike from both of its neighbours in time."""
 
 _BUMPY = 1.5
-"""Leaps of other channels of late from which on leaps are blows: a robot that bounces, and no faulty cell."""
+"""Recent number of jumps of other channels above which a jump is an impact of a bouncing robot."""
 
 _BUMP_MEMORY = 0.993
-"""Share of the count of leaps that a sample keeps: it is that of some 140 samples."""
+"""Decay per sample of the recent number of jumps, which covers about 140 samples."""
 
-_ONCE = 0.5  # recent count of leaps above which there was one
+_ONCE = 0.5  # minimum recent number of jumps of a channel that has jumped
 
 _MOSTLY_MISSING, _ALL_READ = 0.5, 0.99
-"""Share of a block's readings below which a channel is silent, and above which it is fully there."""
+"""Minimum share of a block's readings of a channel that is not silent, and of one that is complete."""
 
 _IDLE = 0.1
-"""Share of its plate's changes that a cell that bears load shows at least: one that shows less would need a
-scale beyond ten. Sound cells with three times the errors of cheap ones show 0.12 and more, others 0.34."""
+"""Minimum change of a loaded cell as a share of the change that its plate predicts. A smaller one would need
+a scale above ten. Sound cells with three times the errors of cheap ones show at least 0.12, others 0.34."""
 
 _PLATE_MOVED = 0.2
-"""Changes of a cell's load from block to block, by the others of its plate, from which on it must have shown
-them: their squares in body weights, summed up. Those of some ten steps: after three a sound cell of a G1 had
-shown 0.05."""
+"""Minimum evidence for an idle cell: the sum over blocks of squared changes in body weights that the other
+cells of its plate predict. About ten steps reach it. After three, a sound cell of a G1 had reached 0.05."""
 
 _LARGEST_CHANGE = 0.15
-"""Change of a cell's load between blocks in body weights of which more counts no more, so that ten blocks
-at least speak: a robot that falls strikes the ground for fewer."""
+"""Largest change of a cell's load between blocks in body weights that counts, so that at least ten blocks are
+needed. The impacts of a fall last fewer."""
 
 _MISSED = 0.5
-"""Share of the load that its plate says from which on the robot's motion misses a cell's rather than not."""
+"""Fraction of the predicted load above which the motion is inconsistent with an idle cell."""
 
 _NO_LOAD = 0.1
-"""Load of a cell in body weights up to which a reading that does not change is one of no load at all."""
+"""Largest load of a cell in body weights at which a constant reading counts as unloaded."""
 
 _HEAVIEST = 2.0
-"""Load of a cell in body weights beyond which a reading that does not change is at the end of its range."""
+"""Load of a cell in body weights above which a constant reading is at the end of its range."""
 
 _RETURN_BLOCKS = 15
-"""Blocks that a channel must agree with its reconstruction for, while its load changes, to come back."""
+"""Number of blocks with a changing load in which a lost channel must agree with its reconstruction."""
 
 _AGREE, _AGREE_SHARE = 0.03, 0.2
-"""Error of a reconstruction that counts as agreeing: in body weights, and besides as a share of the load.
-A load that changes by less than the first shows nothing."""
+"""Largest error of a reconstruction that agrees: the sum of a constant in body weights and a share of the
+load. Changes of the load below the constant are not informative."""
 
 
 class ChannelState(NamedTuple):
@@ -87,25 +86,25 @@ class ChannelState(NamedTuple):
 
     last: Array  # last readings that were believed, F0 in N, shape (K,)
     leaps: Array
-    """Samples in a row that were held for leaping, shape (K,); more than are held where the last one was not
-    read."""
-    leapt: Array  # how often each channel leapt of late, shape (K,)
+    """Number of consecutive samples held as jumps, shape (K,), or more than the maximum after a missing
+    reading."""
+    leapt: Array  # recent number of jumps of each channel, shape (K,)
     moments: Array  # how cells share loads, shape (K, K)
     lost: Array  # channels that are out (0 or 1), shape (K,)
     kind: Array  # flags of each channel's faults, shape (K,)
-    wiring: Array  # signed permutation that puts exchanged and turned channels right, shape (K, K)
-    spare: Array  # how forces are made of the channels that are not out, shape (K, K)
+    wiring: Array  # signed permutation that corrects swapped and flipped channels, shape (K, K)
+    spare: Array  # matrix of forces from the channels that are not lost, shape (K, K)
     spare_std: Array  # standard deviation of a reconstructed force in N, 0 for others, shape (K,)
     agreed: Array  # blocks that a lost channel has agreed for, shape (K,)
     level: Array  # mean of F0 of the last block in body weights, shape (K,)
     shown: Array
-    """Squared changes of that mean since it was last held against its plate, summed up, shape (K,); -1 before
-    the first block."""
-    expected: Array  # those by the other cells of its plate, shape (K,)
+    """Sum of squared changes of that mean since the last comparison with its plate, shape (K,), -1 before the
+    first block."""
+    expected: Array  # the sum that the other cells of its plate predict, shape (K,)
     missed: Array
-    """Momentum that the starting map leaves unexplained, times that of the load that its plate says, summed
-    up, shape (K,)."""
-    offered: Array  # the square of the latter, summed up, shape (K,)
+    """Sum of products of the momentum that the starting map leaves unexplained and that of the load that the
+    plate predicts, shape (K,)."""
+    offered: Array  # sum of squares of the latter, shape (K,)
     alive: Array  # whether it has ever moved with its plate (0 or 1), shape (K,)
     altered: int  # whether any channel is or was out, turned or exchanged, 0 or 1
 
@@ -116,14 +115,14 @@ class ChannelFaults:
     Args:
         setup: The robot.
         leap: Change of a force in one sample in body weights that no foot makes.
-        leap_alone: The same of one cell of a foot that stands.
+        leap_alone: The same for one cell of a foot in stance.
         memory: Blocks that shares of load are remembered for.
 
     Attributes:
         stand_in: How cells share loads.
         by_others: How each channel follows from the others by the plate alone, shape (K, K).
         leap: Change of a force in one sample in N that no foot makes.
-        leap_alone: The same of a foot that stands in N, shape (K,).
+        leap_alone: The same for a foot in stance in N, shape (K,).
     """
 
     def __init__(self, setup: OnlineSetup, leap: float, leap_alone: float, memory: float) -> None:
@@ -134,11 +133,11 @@ class ChannelFaults:
         self._plates = self.stand_in.together - np.eye(setup.layout.channels)
         self.by_others = self.stand_in.others(self.stand_in.init(), np.zeros(setup.layout.channels))[0]
         self._same_foot = (foot[:, None] == foot) - np.eye(setup.layout.channels)
-        # A foot of one cell has none that could tell its landing from an error.
+        # With a single cell, a landing cannot be distinguished from an error.
         self.leap_alone = np.where(self._same_foot.any(axis=1), leap_alone, leap) * setup.weight
 
     def init(self, resting: Array) -> ChannelState:
-        """Return the state of sound channels, of which F0 is ``resting``; see :class:`ChannelState`."""
+        """Return the :class:`ChannelState` of sound channels with the forces ``resting`` (F0)."""
         K = len(resting)
         zero = np.zeros(K)
         return ChannelState(
@@ -164,7 +163,7 @@ class ChannelFaults:
     def sample(
         self, state: ChannelState, force: Array, read: Array, scale: Array, stance: Array
     ) -> tuple[ChannelState, Array, Array, Array]:
-        """Put channels right and hold leaps, sample by sample.
+        """Correct channels and hold jumps, sample by sample.
 
         Args:
             state: Faults so far.
@@ -174,7 +173,7 @@ class ChannelFaults:
             stance: Whether each foot stands by the robot's plan (bool), shape (F,).
 
         Returns:
-            The state; forces to use; whether each may be learnt from (bool); and flags of each channel.
+            The state, the forces to use, whether each may be learnt from (bool), and flags of each channel.
         """
         if state.altered:
             force, read = state.wiring @ force, np.abs(state.wiring) @ read > 0.5
@@ -200,14 +199,14 @@ class ChannelFaults:
         return state, used, read & ~leaping, flags
 
     def smooth(self, before: Array, row: Array, after: Array, weight: float) -> Array:
-        """Put readings that were wrong for one sample between their neighbours.
+        """Replace readings that were wrong for one sample by the mean of their neighbours.
 
-        A plate shares its load among its cells: no load comes and goes in one of them alone.
+        A plate distributes its load over its cells, so that a real load never appears in a single cell.
 
         Args:
             before: F0 and whether it was read (0 or 1) of the sample before, shape (2K,).
             row: The same of the sample.
-            after: Of the sample after it.
+            after: The same of the sample after it.
             weight: The robot's weight in the unit of F0.
         """
         K = len(self._plates)
@@ -220,7 +219,7 @@ class ChannelFaults:
         return np.concatenate([np.where(spike, 0.5 * (past + coming), now), row[K:]])
 
     def silent(self, state: ChannelState, force: Array, read: Array) -> tuple[ChannelState, bool]:
-        """Find channels that are silent, always read the same, or bear nothing of their plate's load.
+        """Find channels that are silent, constant or idle.
 
         Args:
             state: Faults so far.
@@ -228,13 +227,13 @@ class ChannelFaults:
             read: Whether they were read (0 or 1), shape (n, K).
 
         Returns:
-            The state, and whether one is found that was dead from the start.
+            The state, and whether a channel was found that has been dead from the start.
         """
         high, spread = force.max(axis=0), np.ptp(force, axis=0)
         flat = spread == 0.0
         moving = (spread > MOVING * self._weight) @ self._same_foot > 0.5
         share = read.mean(axis=0)
-        # A reading that was held for leaping is none that is missing.
+        # Readings held as jumps do not count as missing.
         missing = (share < _MOSTLY_MISSING) & (share.max() >= _MOSTLY_MISSING) & (state.leapt < _ONCE)
         was_missing = (state.kind & int(Flag.MISSING)) > 0
         state = self._return(state, (share > _ALL_READ) & ~flat & was_missing & (state.lost > 0.5))
@@ -249,11 +248,11 @@ class ChannelFaults:
         return self._lose(state, fresh, kind), bool((idle & (state.alive < 0.5)).any())
 
     def _compare_with_plate(self, state: ChannelState, level: Array) -> tuple[ChannelState, Array]:
-        """Find cells that do not change while all others of their plate say so, by the mean of a block."""
+        """Find cells whose block mean does not change as all other cells of their plate predict."""
         whole = self.stand_in.count_lost(state.lost) < 0.5
         change = np.where(state.shown < 0.0, 0.0, level - state.level)
         size = np.abs(change)
-        alone = size > _ALONE * (self._plates * size).max(axis=1)  # no plate's load
+        alone = size > _ALONE * (self._plates * size).max(axis=1)  # not a load of a plate
         change = np.where(self.stand_in.together @ alone > 0.5, 0.0, change)
         told = np.clip(self.by_others @ change, -_LARGEST_CHANGE, _LARGEST_CHANGE)
         change = np.clip(change, -_LARGEST_CHANGE, _LARGEST_CHANGE)
@@ -261,13 +260,13 @@ class ChannelFaults:
         expected = whole * (state.expected + told**2)
         enough = expected > _PLATE_MOVED
         idle = enough & (shown < _IDLE**2 * expected)
-        # On an edge of its plate a sound cell bears nothing as well: then nothing is missed.
+        # If the load is on an edge of the plate, a sound cell is idle too, but the motion needs no load.
         idle &= state.missed > _MISSED * state.offered
-        # Of two on a plate nobody knows: a third one that shows too much looks like them.
+        # Two idle cells on one plate are ambiguous: a third cell that reads too much has the same effect.
         idle &= self.stand_in.together @ idle < 1.5
         alive = np.maximum(state.alive, enough & (shown >= _IDLE**2 * expected))
         if (idle & (alive < 0.5)).any():
-            # Shares were learnt with it.
+            # The learnt shares include the dead cell.
             state = state._replace(moments=self.stand_in.init())
         summed = {"shown": shown, "expected": expected}
         summed |= {"missed": whole * state.missed, "offered": whole * state.offered}
@@ -275,33 +274,33 @@ class ChannelFaults:
         return state._replace(level=level, alive=alive, **again), idle
 
     def miss(self, state: ChannelState, error: Array, by_plate: Array) -> ChannelState:
-        """Note the momentum that the starting map, tared, leaves unexplained in a block.
+        """Add the momentum of a block that the tared starting map leaves unexplained.
 
         Args:
             state: Faults so far.
             error: That momentum, shape (C,).
-            by_plate: The momentum by each channel if it bore what its plate says instead, shape (C, K).
+            by_plate: Its change if a channel carries the load that its plate predicts, shape (C, K).
         """
         return state._replace(
             missed=state.missed + error @ by_plate, offered=state.offered + (by_plate**2).sum(axis=0)
         )
 
     def restart(self, state: ChannelState) -> ChannelState:
-        """Begin again to hold cells against their plates: readings mean something else from now on."""
+        """Restart the comparison of cells with their plates after the meaning of readings has changed."""
         zero = np.zeros_like(state.shown)
         return state._replace(shown=zero - 1.0, expected=zero, missed=zero, offered=zero)
 
     def lose(self, state: ChannelState, channel: int) -> ChannelState:
-        """Take a channel out that is dead."""
+        """Mark a dead channel as lost."""
         out = np.arange(len(state.lost)) == channel
         return self._lose(state, out, int(Flag.DEAD) * out)
 
     def rewire(self, state: ChannelState, turned: Array, kind: Array) -> ChannelState:
-        """Put channels right by a signed permutation, and turn flags of them, shapes (K, K) and (K,)."""
+        """Correct channels by a signed permutation, shape (K, K), and toggle flags, shape (K,)."""
         return state._replace(wiring=turned @ state.wiring, kind=state.kind ^ kind, altered=1)
 
     def learn(self, state: ChannelState, force: Array, good: bool) -> ChannelState:
-        """Learn how cells share loads while nothing is wrong, and let channels come back.
+        """Learn how cells share loads while all are sound, and restore channels that agree again.
 
         Args:
             state: Faults so far.
@@ -321,7 +320,7 @@ class ChannelFaults:
         return self._return(state._replace(agreed=np.where(back, 0.0, agreed)), back)
 
     def _return(self, state: ChannelState, back: Array) -> ChannelState:
-        """Take channels in again."""
+        """Restore lost channels."""
         if not back.any():
             return state
         gone = int(Flag.LOST | Flag.DEAD | Flag.STUCK | Flag.SATURATED | Flag.MISSING)
@@ -329,7 +328,7 @@ class ChannelFaults:
         return self._rebuild(state._replace(lost=np.where(back, 0.0, state.lost), kind=kind))
 
     def _lose(self, state: ChannelState, fresh: Array, kind: Array) -> ChannelState:
-        """Take channels out."""
+        """Mark channels as lost."""
         if not fresh.any():
             return state
         lost = np.where(fresh, 1.0, state.lost)
@@ -337,7 +336,7 @@ class ChannelFaults:
         return self._rebuild(state._replace(lost=lost, kind=kind))
 
     def _rebuild(self, state: ChannelState) -> ChannelState:
-        """Work out how to do without lost channels."""
+        """Compute the reconstruction of lost channels."""
         coefficients, spread = self.stand_in.others(state.moments, state.lost)
         spare = np.diag(1.0 - state.lost) + coefficients * state.lost[:, None]
         return state._replace(spare=spare, spare_std=spread * state.lost, altered=1)

@@ -1,22 +1,22 @@
-r"""Errors of a reading on its way to the host: spikes, wrong words, stale repeats, gaps.
+r"""Errors in the transport of readings to the host: spikes, bit errors, stale repeats, gaps.
 
-**Spikes** are single readings that are off. They come as a Poisson process of the rate :math:`r` in each
-channel, so that a reading which stands for the time :math:`\Delta t` is off with the probability
-:math:`1 - e^{-r \Delta t}`, and by a normal number: a few are far out and some hide in the noise, which is
-the reason why they are hard to gate.
+**Spikes** are single wrong readings. They follow a Poisson process with the rate :math:`r` in each channel,
+so that a reading that covers the time :math:`\Delta t` is wrong with the probability
+:math:`1 - e^{-r \Delta t}`. The error is normally distributed: some spikes are large and some are within the
+noise, so that a threshold does not find them all.
 
-**Wrong words**: a bit of a code arrives the wrong way round, because of an interrupt between two clock edges
-of a bit-banged bus or noise on its line. Which bit it is decides the effect: from one count, which nobody
-sees, to half of the range. Readings of HX711 chips were seen off by 320,000 counts now and then
-(esphome#2996); how often depends on the host, and nobody has published a rate.
+**Bit errors**: one bit of a code is flipped, because of an interrupt between two clock edges of a bit-banged
+bus or noise on its line. The effect depends on the bit and ranges from one count to half of the range.
+Occasional errors of 320,000 counts were reported for HX711 chips (esphome#2996). The rate depends on the host
+and is not published.
 
 **Stale repeats**: a reader that finds no new value returns the last one again. A reader that polls its chips
-in turn, and a bus that misses one, keep their old value: in a log of a NAO's feet 73 % of the values repeat
-the one before. Each reading is a repeat with the probability p, independent of the others, so that a value
+in turn, and a bus that misses one, keep their old value. In a log of a NAO's feet, 73 % of the values equal
+the previous one. Each reading is a repeat with the probability p, independent of the others, so that a value
 stays for 1 / (1 - p) readings in the mean. (:func:`~surefoot.sensors.stages.clock.sample_and_hold` repeats
 because clocks differ.)
 
-**Gaps**: packets get lost, and seldom one alone. A link is good or bad (Gilbert, 1960; Elliott, 1963), and a
+**Gaps**: packets are lost, mostly in bursts. A link is good or bad (Gilbert, 1960, and Elliott, 1963), and a
 bad one loses everything. It turns bad at the rate :math:`\mu` and good again at the rate :math:`\lambda`, in
 continuous time, so that with the mean length of a gap :math:`1 / \lambda` the share of the time that is lost
 and the correlation over a time :math:`t` are
@@ -24,7 +24,7 @@ and the correlation over a time :math:`t` are
 .. math:: p = \frac{\mu}{\lambda + \mu}, \qquad \rho(t) = e^{-(\lambda + \mu) t}, \qquad
           \lambda + \mu = \frac{\lambda}{1 - p},
 
-however finely time is stepped. A log of an iCub has a gap of 0.17 s, one of a balance board's radio a gap of
+for any time step. A log of an iCub has a gap of 0.17 s, one of a balance board's radio a gap of
 22.6 s.
 
 All of these are properties of an instrument. A break in one channel at a given time is a
@@ -44,13 +44,13 @@ from surefoot.sensors.corruption import Corruption, Rng, limit, stateless
 from surefoot.sensors.randomness import normal, uniform
 
 CODINGS = ("offset-binary", "two's complement")
-"""How a word stands for a number; the names of :class:`~surefoot.sensors.LoadCells`."""
+"""Binary codes of readings, by the names that :class:`~surefoot.sensors.LoadCells` uses."""
 
 
 class RepeatState(NamedTuple):
     """The last output of a reader."""
 
-    held: Floats  # shape (K,); NaN before the first
+    held: Floats  # shape (K,), NaN before the first
 
 
 class GapState(NamedTuple):
@@ -62,10 +62,10 @@ class GapState(NamedTuple):
 def spikes(
     rate: float, size: ArrayLike, *, code_range: tuple[ArrayLike, ArrayLike] | None = None
 ) -> Corruption[tuple[()]]:
-    """Add spikes at random, so many of a channel in a second in the mean; 0 adds none.
+    """Add random spikes at a mean rate in 1/s per channel.
 
-    Their standard deviation is in the unit of the readings, a number or shape (K,). Readings beyond the
-    lowest and the highest code of a converter, if there is one, are clipped to it and rounded.
+    ``size`` is their standard deviation in the unit of the readings, a number or shape (K,). With a
+    ``code_range``, the lowest and highest code of a converter, spikes are clipped to it and rounded.
     """
     check_not_negative(rate=rate)
     sizes = np.asarray(size, dtype=np.float64)
@@ -83,22 +83,22 @@ def spikes(
 
 
 def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary") -> Corruption[tuple[()]]:
-    """Turn one bit of a reading over now and then, every bit alike.
+    """Flip one bit of a reading at random, each bit with equal probability.
 
-    Readings are counts, whole numbers that the word can hold; NaN stays as it is.
+    Readings are counts, whole numbers within the range of the code. NaN is not changed.
 
     Args:
-        probability: Probability that a word is wrong, for each channel and reading on its own.
-        bits: Bits of a word, 1 to 32.
+        probability: Probability of a bit error, independent for each channel and reading.
+        bits: Number of bits, 1 to 32.
         coding: ``"offset-binary"``, from 0 to 2^bits - 1, or ``"two's complement"``, from -2^(bits - 1) to
-            2^(bits - 1) - 1, of which the highest bit counts negative.
+            2^(bits - 1) - 1, with a negative highest bit.
 
     Raises:
-        ValueError: If the probability does not lie in [0, 1], or there is no such word.
+        ValueError: If the probability is not in [0, 1], or the number of bits or the coding is not allowed.
 
     >>> rng = np.random.default_rng(0)
-    >>> word = wrong_words(1.0, bits=3, coding="two's complement")
-    >>> {int(word.apply(np.array([2.0]), (), rng, 1.0)[0][0]) for _ in range(100)} == {0, 3, -2}
+    >>> flip = wrong_words(1.0, bits=3, coding="two's complement")
+    >>> {int(flip.apply(np.array([2.0]), (), rng, 1.0)[0][0]) for _ in range(100)} == {0, 3, -2}
     True
     """
     if not 0.0 <= probability <= 1.0:
@@ -109,7 +109,7 @@ def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary
         raise ValueError(f"'coding' must be one of {CODINGS}, got {coding!r}.")
     places = 2.0 ** np.arange(bits)
     signs = np.where((places == places[-1]) & (coding == CODINGS[1]), -1.0, 1.0)
-    # A reading adds what the bit is worth where it was 0 and loses it where it was 1.
+    # Flipping a bit from 0 to 1 adds its value, and from 1 to 0 subtracts it.
     worths = places * signs
 
     def turn_over(reading: Floats, rng: Rng, dt: float) -> Floats:
@@ -124,9 +124,9 @@ def wrong_words(probability: float, bits: int = 24, coding: str = "offset-binary
 
 
 def stale_repeats(probability: float) -> Corruption[RepeatState]:
-    """Repeat the last value with a probability in [0, 1), all channels together.
+    """Repeat the last value with a probability in [0, 1), for all channels together.
 
-    Where there is none, before the first reading and after one that was lost, the new one passes.
+    Before the first reading, and after a lost one, the new reading is not changed.
     """
     if not 0.0 <= probability < 1.0:
         raise ValueError(f"'probability' must lie in [0, 1), got {probability}.")
@@ -143,12 +143,12 @@ def stale_repeats(probability: float) -> Corruption[RepeatState]:
 
 
 def burst_gaps(share: float, mean_length: float) -> Corruption[GapState]:
-    """Lose readings in bursts: they are NaN, all channels together as they travel in one packet.
+    """Lose readings in bursts: they become NaN, in all channels together, since a packet has all of them.
 
     Args:
-        share: Share of the time that is lost in the long run in [0, 1); 0 loses nothing.
-        mean_length: Mean length of a gap in s. Where it is not long against the time between
-            readings, gaps that fall between two of them are not seen, and those that are seem longer.
+        share: Long-term share of the time that is lost, in [0, 1).
+        mean_length: Mean length of a gap in s. If it is not much longer than the time between readings, short
+            gaps between two readings are not visible, and the visible ones seem longer.
     """
     if not 0.0 <= share < 1.0:
         raise ValueError(f"'share' must lie in [0, 1), got {share}.")

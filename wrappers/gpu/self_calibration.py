@@ -5,8 +5,8 @@
     estimate = calibrator(counts, reference, step=env.common_step_counter)
     calibrator.reset(env_ids)
 
-A step is one kernel of the headers in ``native/``, a robot a thread; nothing is copied to the
-host. Its numbers are doubles, whatever the dtype of tensors: filters need them.
+A step is one kernel made of the headers in ``native/``, with one thread per robot. Nothing is copied to the
+host. The kernel computes in double precision for any dtype of the tensors, because the filters need it.
 """
 
 from collections.abc import Callable
@@ -39,14 +39,14 @@ from surefoot.wrappers.gpu.batch import BatchModule, Counter, RobotIds, mask_of,
 from surefoot.wrappers.gpu.kernels import kernel, threads_at_once
 
 _ADVANCE, _FROZEN, _FRESH, _RETRACT = 1, 2, 4, 8
-"""What a thread is told: that this is a new step; that nothing is learnt; in place of a step to start fresh,
-or to take back, if its robot is marked."""
+"""Commands to a thread: take a step, do not learn, or in place of a step start afresh or retract the last
+seconds, if its robot is marked."""
 
 _HEADERS = "surefoot_moment", "surefoot_beliefs", "surefoot_tare"
 
 
 def _block_sizes(setup: OnlineSetup, options: dict[str, Any]) -> dict[str, int]:
-    """Return how large the moment filter's arrays are, besides those of any method."""
+    """Return the sizes of arrays that only the moment filter has."""
     core = MomentFilter(setup, Moment(**options))
     talks = len(core.model.talk_to)
     return {"COMPONENTS": core.columns.components, "BLOCK": core.blocks.capacity, "TALKS": talks}
@@ -113,8 +113,8 @@ _BODY = """
 class SelfCalibrationModule(BatchModule):
     """Calibrate the feet of N robots while they move.
 
-    **Steps.** As of :class:`~surefoot.wrappers.gpu.FootSensorsModule`: with a step's number, from the
-    argument ``step`` or from ``counter``, a sample is taken in once however often it is handed over.
+    **Steps** are counted as in :class:`~surefoot.wrappers.gpu.FootSensorsModule`: with the number of the
+    step, from the argument ``step`` or from ``counter``, repeated calls in one step process the sample once.
 
     **Resets.** A robot that begins a new episode keeps its calibration, and nothing is learnt before its
     references are of the new episode. With ``fresh=True``, for a robot that got fresh sensors, it starts
@@ -133,10 +133,10 @@ class SelfCalibrationModule(BatchModule):
         dtype: Of readings and estimates, ``float32`` or ``float64``.
         mass: Mass of the robots as they believe it, in kg.
         dt: Time between steps in s. Options that count samples (``every``, ``average``, ``settle``) are made
-            for 80 of them a second.
+            for 80 samples per second.
         lag: How many steps ago the readings were taken that a reference describes.
-        initial: The map to start from, such as a :class:`FootSensorsModule`'s ``nominal``; by default
-            readings are taken for newtons.
+        initial: The map to start from, such as a :class:`FootSensorsModule`'s ``nominal``. By default
+            readings are in newtons.
         curves: Curves of channels that are not linear, in front of all maps.
         counter: Returns the number of the simulation step.
         options: Further fields of :class:`~surefoot.calibration.online.OnlineSetup` and options of the
@@ -148,7 +148,7 @@ class SelfCalibrationModule(BatchModule):
         frozen: Whether nothing is learnt for the time being.
 
     Raises:
-        ValueError: If the method or an option does not exist or has no kernel, or a value has no meaning.
+        ValueError: If the method or an option does not exist or lacks a kernel, or a value is not allowed.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class SelfCalibrationModule(BatchModule):
         """Choose the kernel, and return the constants of one robot.
 
         Raises:
-            ValueError: If there is none for such a robot.
+            ValueError: If the method lacks a kernel for such a robot.
         """
         steps, layout = _STEPS[self.method], self.setup.layout
         sizes = {
@@ -212,7 +212,7 @@ class SelfCalibrationModule(BatchModule):
         fresh, given, robots = native.pack(constants.like).now, native.references, self.num_envs
         self._config, self._fresh = self._record(constants.config), self._record(fresh)
         self._own = self._config if constants.own is None else self._record(constants.own)
-        # Nothing is remembered in what they work in: robots that wait for a thread share it.
+        # Workspaces keep nothing between robots, so that robots of one thread share one.
         self._workers = min(robots, threads_at_once(self.device))
         self._work = self._nothing(
             self._workers, 1 if work == "char" else places[work.removeprefix("sf_")][""][2]
@@ -233,16 +233,16 @@ class SelfCalibrationModule(BatchModule):
         """Take in one sample of all robots.
 
         Args:
-            counts: Readings, shape (N, K); NaN where no sample arrived.
-            reference: The robots' beliefs ``lag`` steps ago, fields of shape (N, ...); method ``"moment"``
-                takes a :class:`~surefoot.calibration.MomentumReference` as well.
-            step: Number of the simulation step, if the module has no ``counter``.
+            counts: Readings, shape (N, K), NaN where no sample arrived.
+            reference: The robots' beliefs ``lag`` steps ago, fields of shape (N, ...). Method ``"moment"``
+                also accepts a :class:`~surefoot.calibration.MomentumReference`.
+            step: Number of the simulation step, for a module without a ``counter``.
 
         Returns:
             The calibrated sample, the caller's own.
 
         Raises:
-            TypeError: If readings or a field are no tensor, or the method takes no such reference.
+            TypeError: If readings or a field are not tensors, or the method does not accept the reference.
             ValueError: If a shape or a device is not the module's.
         """
         counts = self._bring(counts, "counts", (("channels",),), self.setup.layout.channels)
@@ -269,11 +269,11 @@ class SelfCalibrationModule(BatchModule):
         """Start new episodes.
 
         Args:
-            env_ids: Robots that begin one; all by default.
-            fresh: Whether their calibration starts fresh.
+            env_ids: Robots that begin an episode, by default all.
+            fresh: Whether their calibration starts afresh.
 
         Raises:
-            ValueError: If there is no such robot.
+            ValueError: If a robot does not exist.
         """
         mask = self._note_starting(env_ids)
         # Readings of the last episode wait for references for as long.
@@ -283,18 +283,18 @@ class SelfCalibrationModule(BatchModule):
             self._run(_FRESH, mask, self._fresh)
 
     def retract(self, env_ids: RobotIds = None) -> None:
-        """Take back the learning of the last seconds: they have fallen, which began before.
+        """Undo the learning of the last seconds of robots that have fallen, because a fall begins earlier.
 
         Args:
-            env_ids: These robots; all by default.
+            env_ids: The robots that have fallen, by default all.
 
         Raises:
-            ValueError: If there is no such robot.
+            ValueError: If a robot does not exist.
         """
         self._run(_RETRACT, mask_of(env_ids, self.num_envs, self.device), self._fresh)
 
     def freeze(self, frozen: bool = True) -> None:
-        """Stop learning, or go on: the calibration is applied either way.
+        """Stop or resume learning. The calibration is applied in both cases.
 
         Samples that were measured by now still count, so that estimates may move for another fraction of a
         second.
@@ -309,10 +309,10 @@ class SelfCalibrationModule(BatchModule):
         return self._state_of(self._kernel, self._identity()) | {"frozen": self.frozen}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Go on, bit for bit, from a result of :meth:`get_extra_state`.
+        """Restore a result of :meth:`get_extra_state`. Later results are equal bit for bit.
 
         Raises:
-            ValueError: If it is of another calibrator, or holds impossible values; nothing is changed.
+            ValueError: If it is from another calibrator or has impossible values. It is not restored then.
         """
         if getattr(state.get("state"), "shape", None) == self._state.shape:
             saved = views(state["state"], self._layouts[0])
@@ -323,7 +323,7 @@ class SelfCalibrationModule(BatchModule):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)  # type: ignore[no-untyped-call]
-        self._view()  # copies of views see nothing of what they were views of
+        self._view()  # a copy of a view does not share memory with the copied tensor
 
     def _view(self) -> None:
         self._believed = {kind: views(self._beliefs[kind], layout) for kind, layout in self._kinds.items()}
@@ -375,10 +375,10 @@ class _Straightener:
     """Curves of channels on a device, as :class:`~surefoot.calibration.weights.curves.Curves` has them.
 
     Attributes:
-        said: The curves in words; empty for none.
+        said: The curves in words, empty without curves.
 
     Raises:
-        ValueError: If they are of another number of channels.
+        ValueError: If the number of channels differs.
     """
 
     def __init__(self, curves: Curves | None, channels: int, device: torch.device) -> None:
@@ -391,7 +391,7 @@ class _Straightener:
             self._cubics.append((i, knots, powers))
 
     def straighten(self, counts: Tensor) -> Tensor:
-        """Return straight readings, shape (N, K); beyond its ends a curve goes on straight."""
+        """Return straight readings, shape (N, K). A curve is extrapolated linearly beyond its ends."""
         if not self._cubics:
             return counts
         straight = counts.clone()
